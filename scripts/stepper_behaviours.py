@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from stage.drives.dynamometer import (
     SLICE_S,
     compute_closed_form,
-    compute_joint_bound,
     compute_load_angle,
     compute_mean_counts,
     compute_natural_frequency,
+    compute_voltage_and_current_bound,
     count_lost_steps,
     count_slices,
     count_steps_lost_in_start,
@@ -48,7 +48,10 @@ def pull_out_follows_the_closed_form(ax):
         print(f"   {rpm:5} rpm: closed form {ideal:.3f}, sine {sine:.3f}, chopper {chopper:.3f}; {ratios}")
     rpm = np.r_[50, 150:700:110, 700:1000:20, 1000:2401:100]
     chopper, ideal = simulate_pull_out(SMOOTH, rpm), compute_closed_form(MOTOR, 24, 1.7, rpm)
-    saturated, both = compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, rpm), compute_joint_bound(MOTOR, 24, 1.7, rpm)
+    saturated, both = (
+        compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, rpm),
+        compute_voltage_and_current_bound(MOTOR, 24, 1.7, rpm),
+    )
     low, out = np.argmin(chopper / ideal), rpm[chopper < ideal * 0.99]
     print(f"   chopper / closed form at V: {chopper[low] / ideal[low]:.3f} at {rpm[low]} rpm, the least;", end=" ")
     print(f"below 0.99 from {out.min()} to {out.max()} rpm; {max(chopper / ideal):.3f}, the most")
@@ -62,7 +65,7 @@ def pull_out_follows_the_closed_form(ax):
         compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine),
     )
     ax.fill_between(fine, at_v, at_fundamental, color="#cfe0f2", lw=0)
-    ax.plot(fine, compute_joint_bound(MOTOR, 24, 1.7, fine), color=MUTED_COLOR, lw=1, ls=":")
+    ax.plot(fine, compute_voltage_and_current_bound(MOTOR, 24, 1.7, fine), color=MUTED_COLOR, lw=1, ls=":")
     ax.plot(rpm, chopper, color=BLUE, lw=2)
     ax.plot(spec, columns[1], "o", color=TEXT_COLOR, ms=4)
     ax.text(1480, 0.235, "closed form, V to 4/π V", color=MUTED_COLOR, fontsize=8)

@@ -493,7 +493,7 @@ def test_an_open_phase_carries_no_current_and_the_other_is_as_it_was(mode, open_
     rng = np.random.default_rng(seed)
     full, broken = np.zeros(1, stepper.DRIVE), np.zeros(1, stepper.DRIVE)
     for rows in (full, broken):
-        Drive(mode=mode).fill(rows[0])
+        Drive(mode=mode).fill_record(rows[0])
     broken[0].open, broken[0].slice = open_, 0.0
     km, nr, td = full[0].torque_constant, full[0].teeth, full[0].detent
     r, inductance, volt, current = full[0].resistance, full[0].inductance, full[0].voltage, full[0].current

@@ -1,4 +1,4 @@
-"""DC motors by name, and the servo amplifier with encoder that feeds one. Values of the maker's data sheets."""
+"""DC motors by name, and the servo amplifier with encoder that drives one. The values are those of the makers' data sheets."""
 
 from __future__ import annotations
 
@@ -58,6 +58,7 @@ class DCMotor:
 def _make_pittman_motor(
     name: str, torque_constant: float, motor_constant: float, inertia: float, continuous: float
 ) -> DCMotor:
+    """Make a motor from the values that Pittman's data sheet lists."""
     evidence = dict.fromkeys(("torque_constant", "rotor_inertia", "continuous_torque"), "S")
     evidence["resistance"] = "S: (torque constant / motor constant)^2"
     evidence["nominal_voltage"] = "S: no-load speed times torque constant, rounded up"
@@ -77,7 +78,7 @@ DC_MOTORS: dict[str, DCMotor] = {
 
 
 def find_dc_motor(name: str | DCMotor) -> DCMotor:
-    """Return the preset of this name, or the motor itself.
+    """Return the preset of this name. A DCMotor is returned unchanged.
 
     Raises:
         ArgumentError: No preset has this name; the error proposes similar ones.
@@ -129,7 +130,7 @@ class Servo:
 
     @property
     def peak_torque(self) -> float:
-        """Torque at stall with the whole bus voltage or the current limit, whichever is less, N m."""
+        """Stall torque with the full bus voltage, or at the current limit if that is less, N m."""
         stall = self.bus_voltage / self.motor.resistance
         if self.current_limit is not None and self.current_limit < stall:
             return self.motor.torque_constant * self.current_limit
@@ -137,15 +138,15 @@ class Servo:
 
     @property
     def title(self) -> str:
-        """Motor and settings, for people."""
+        """Motor and settings in words."""
         return f"{self.motor.name}, encoder of {self.counts} counts"
 
     @property
     def pulses_per_turn(self) -> int:
-        """Counts of a turn, the chip's unit."""
+        """Encoder counts per turn of the motor; a count is the unit of the chip."""
         return int(self.counts)
 
-    def fill(self, record: Any) -> None:
+    def fill_record(self, record: Any) -> None:
         """Write the parameters into a DRIVE record."""
         record.resistance, record.torque_constant = self.motor.resistance, self.motor.torque_constant
         record.voltage, record.per_pulse, record.teeth = self.bus_voltage, 2 * math.pi / self.counts, 1.0

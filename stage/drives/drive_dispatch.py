@@ -1,8 +1,8 @@
-"""Functions that every drive offers to the engine; each calls the stepper or the servo amplifier, as the DRIVE record's `mode`
+"""Functions that every drive offers to the engine. Each calls the stepper or the servo amplifier, as the DRIVE record's `mode`
 says.
 
-A stepper's chip commands pulses, a servo's the counts of its encoder: both are angles of the rotor. What goes to the actuator, the
-drive's *effort*, is the torque of a stepper and the terminal voltage of a DC motor.
+A stepper's chip commands pulses, a servo's chip the counts of its encoder: both are angles of the rotor. The quantity that goes to
+the actuator, the drive's *effort*, is the torque of a stepper and the terminal voltage of a DC motor.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ __all__ = [
 
 @hot
 def compute_effort(drive, signal, n_slices, theta, omega, slice_s, gain=0.0):
-    """Compute the mean effort over n slices of h seconds, N m or V.
+    """Compute the mean effort over `n_slices` slices, N m or V.
 
     Args:
         drive: DRIVE record.
-        signal: (n,), from the chip: mean pulses so far, or shares of full drive.
+        signal: Output of the chip in each slice, shape (n_slices,): mean pulses so far, or shares of full drive.
         n_slices: Number of slices.
         theta: Rotor angle in the middle of the first slice, rad.
         omega: Speed of the rotor, rad/s.
         slice_s: Length of a slice, s.
-        gain: As of `mean_torque`.
+        gain: Speed that one newton meter adds in half of the slices, rad/s.
     """
     if drive.mode == SERVO:
         return servo_amplifier.compute_mean_voltage(drive, signal, n_slices, omega, gain)
@@ -52,7 +52,7 @@ def compute_torque(drive, effort):
 
 @hot
 def compute_torque_change(drive, effort_change, speed_change):
-    """Return the change of the motor's torque, N m, with a change of its effort, and of its speed in rad/s."""
+    """Return the change of the motor's torque, N m, that results from a change of effort and a change of speed, rad/s."""
     if drive.mode == SERVO:
         return drive.torque_constant * (effort_change - drive.torque_constant * speed_change) / drive.resistance
     return effort_change
@@ -60,20 +60,20 @@ def compute_torque_change(drive, effort_change, speed_change):
 
 @hot
 def compute_voltage(drive, effort):
-    """Return the terminal voltage of a DC motor, V; 0 for a stepper, whose phases have one each."""
+    """Return the terminal voltage of a DC motor, V; 0 for a stepper, because each of its phases has its own voltage."""
     return effort if drive.mode == SERVO else 0.0
 
 
 @hot
 def power_up(drive, count, theta):
-    """Power up a stepper drive, see `stepper.power_up`. A servo changes nothing: its encoder keeps the count."""
+    """Power up a stepper drive, see `stepper.power_up`. A servo does not change, because its encoder keeps the count."""
     if drive.mode != SERVO:
         stepper.power_up(drive, count, theta)
 
 
 @hot
 def make_rest_signal(drive, count):
-    """Return the signal (see `compute_effort`) that leaves the motor at rest: the present count for a stepper, 0 for a servo."""
+    """Return the signal of `compute_effort` with which the motor stays at rest: the present count for a stepper, 0 for a servo."""
     return 0.0 if drive.mode == SERVO else float(count)
 
 

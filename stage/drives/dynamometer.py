@@ -1,11 +1,11 @@
 """Test bench for a motor and its drive without a stage: a rotor with an inertia and a brake.
 
-    trace = simulate_motor(drive, compute_mean_counts(rates), inertia=...)       one run, every slice of it
+    trace = simulate_motor(drive, compute_mean_counts(rates), inertia=...)       one run with the values of every slice
     simulate_pull_out(drive, rpm), find_pull_in_rate(drive, inertia), simulate_ring_down(drive, inertia),
     sweep_resonance(drive, rates)
 
-One compiled loop, the leapfrog of the stage's engine in slices of H = 15.625 us (half the engine's), with the same compiled
-drive. Pulses come whole, as from a chip. Nothing is random: the same call gives the same bits.
+A compiled loop integrates the motion by the same leapfrog as the engine of a stage, with the same compiled drive, in slices of
+15.625 us (half of the engine's). Pulses come whole, as from a chip. Nothing is random: equal calls give equal bits.
 """
 
 from __future__ import annotations
@@ -62,9 +62,15 @@ class PullOut(NamedTuple):
 
 
 def compute_closed_form(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
-    """Compute the pull-out torque of a sine drive, N m, shape of rpm: min(T_V, T_I) - b w, never below 0 (spec/drives.md, 1).
+    """Compute the pull-out torque of an ideal sine drive, N m, in closed form: min(T_V, T_I) - b w, at least 0 (spec/drives.md, 1).
 
     Z = sqrt(R^2 + (Nr w L)^2), T_V = Km (V / Z - Km w R / Z^2), T_I = Km I; b is the motor's core loss.
+
+    Args:
+        motor: Motor or name of a preset.
+        volts: Supply voltage V.
+        current: Amplitude I of the phase currents, A.
+        rpm: Speeds, a number or an array; the result has the same shape.
     """
     motor, w = find_motor(motor), np.asarray(rpm, float) * 2 * math.pi / 60
     km, r = motor.torque_constant, motor.resistance
@@ -74,14 +80,22 @@ def compute_closed_form(motor: Motor | str, volts: float, current: float, rpm: F
     )
 
 
-def compute_joint_bound(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
-    """Compute the largest torque of any sinusoidal current with |i| <= current and |v| <= volts, N m, shape of rpm.
+def compute_voltage_and_current_bound(
+    motor: Motor | str, volts: float, current: float, rpm: Floats | float
+) -> np.ndarray:
+    """Compute the largest torque of sinusoidal currents that respect both limits at once, |i| <= current and |v| <= volts, N m.
 
-    The result is less the motor's core loss.
+    The motor's core loss is subtracted. In rotor coordinates the back-EMF E = Km w is real, v = Z i + E with Z = R + j Nr w L, and
+    the torque is Km Re i. The currents that V allows fill the circle of radius V / |Z| around -E / Z. Its rightmost point is T_V;
+    where that
+    point needs more than `current`, the best current is at the intersection of the two circles. Near its corner, the closed form
+    min(T_V, T_I) is larger.
 
-    In rotor coordinates the back-EMF E = Km w is real, v = Z i + E with Z = R + j Nr w L, and torque is Km Re i. The currents
-    that V allows fill the circle of radius V / |Z| around -E / Z. Its rightmost point is T_V; where that point needs more
-    than `current`, the best is where the two circles cross. The closed form min(T_V, T_I) lies above it near its corner.
+    Args:
+        motor: Motor or name of a preset.
+        volts: Supply voltage V.
+        current: Amplitude of the phase currents, A.
+        rpm: Speeds, a number or an array; the result has the same shape.
     """
     motor, w = find_motor(motor), np.asarray(rpm, float) * 2 * math.pi / 60
     z = motor.resistance + 1j * motor.rotor_teeth * w * motor.phase_inductance
@@ -117,6 +131,7 @@ def compute_natural_frequency(drive: Drive, inertia: float, half_step: bool = Fa
 
 
 def _check_inertia(drive: Drive, inertia: float) -> None:
+    """Raise ArgumentError for an inertia that is not above 0."""
     if not 0 < inertia < math.inf:
         raise ArgumentError(
             f"inertia={inertia!r}: give kg m^2 above 0; the rotor alone has {drive.motor.rotor_inertia:g}."
@@ -125,7 +140,7 @@ def _check_inertia(drive: Drive, inertia: float) -> None:
 
 @exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
 def _simulate_motor(drive, counts, load, inertia, viscous, damper, theta, omega, trace):
-    """Integrate the rotor's motion by leapfrog, and write each slice into `trace`.
+    """Integrate the rotor's motion by leapfrog, and write the values of each slice into `trace`.
 
     The torque of a slice acts at the rotor's angle in the middle of the slice. Friction can stop a rotor but never turns it.
     """
@@ -148,12 +163,13 @@ def count_slices(seconds: float) -> int:
 
 
 def compute_mean_counts(rates: Floats) -> np.ndarray:
-    """Compute the mean commanded count of each slice, (n,), for a chip that makes whole pulses.
+    """Compute the mean commanded count of each slice, shape (n,), for a chip that makes whole pulses.
 
-    The means are those of the staircase of pulses. Averages of the counts at the ends of a slice would beat with the pulses.
+    The mean over a slice is exact for the staircase of pulses. The average of the counts at both ends of a slice would beat with
+    the pulse rate.
 
     Args:
-        rates: Pulse rate in each slice, pps, (n,).
+        rates: Pulse rate in each slice, pps, shape (n,).
     """
     edges = (
         np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * SLICE_S)]) + 1e-6
@@ -175,23 +191,21 @@ def simulate_motor(
     theta: float | None = None,
     omega: float = 0.0,
 ) -> np.ndarray:
-    """Run a motor through a waveform of commanded pulses.
-
-    The drive starts on counts[0].
+    """Run a motor with a given waveform of commanded pulses. The drive starts on counts[0].
 
     Args:
         drive: Drive with its motor.
-        counts: (n,), commanded pulses, mean over each slice.
-        inertia: kg m^2, rotor included.
-        load: Friction, N m, a number or (n,).
-        viscous: Damping to the frame, N m s/rad, beside the motor's core loss.
-        damper: Damping to a flywheel that turns at the starting speed for ever, N m s/rad, so that it takes no torque from a rotor
-            that keeps up.
+        counts: Commanded pulses, mean over each slice, shape (n,).
+        inertia: Moment of inertia with that of the rotor, kg m^2.
+        load: Friction, N m, a number or an array of shape (n,).
+        viscous: Damping relative to the frame, N m s/rad, in addition to the motor's core loss.
+        damper: Damping relative to a flywheel that always turns at the starting speed, N m s/rad. It takes no torque from a rotor
+            that keeps this speed.
         theta: Rotor angle at the start, rad; default: on counts[0].
         omega: Speed at the start, rad/s.
 
     Returns:
-        TRACE, (n,).
+        TRACE records, shape (n,).
 
     Raises:
         ArgumentError: An inertia that is not above 0, friction below 0, or no counts.
@@ -209,7 +223,7 @@ def simulate_motor(
             f"load={load!r}, viscous={viscous!r}, damper={damper!r}: friction takes power: give 0 or more."
         )
     rows = np.zeros(1, stepper.DRIVE)
-    drive.fill(rows[0])
+    drive.fill_record(rows[0])
     trace = np.zeros(len(waveform), TRACE)
     brake = np.array(np.broadcast_to(np.asarray(load, float), waveform.shape))
     start = drive.per_pulse * waveform[0] / drive.motor.rotor_teeth if theta is None else theta
@@ -219,28 +233,29 @@ def simulate_motor(
 
 
 def compute_load_angle(drive: Drive, trace: np.ndarray) -> np.ndarray:
-    """Return commanded minus rotor angle of a trace, electrical radians, not wrapped, (n,).
+    """Return the commanded minus the rotor angle at each slice of a trace, electrical radians, not wrapped, shape (n,).
 
     Args:
         drive: Drive of the trace.
-        trace: TRACE, (n,).
+        trace: TRACE records, shape (n,).
     """
     return drive.per_pulse * trace["count"] - drive.motor.rotor_teeth * trace["theta"]
 
 
 def count_lost_steps(drive: Drive, trace: np.ndarray) -> int:
-    """Return the full steps by which the rotor lags at a trace's end.
+    """Return the full steps by which the rotor lags at the end of a trace.
 
     Args:
         drive: Drive of the trace.
-        trace: TRACE, (n,).
+        trace: TRACE records, shape (n,).
     """
     rows = np.zeros(1, stepper.DRIVE)
-    drive.fill(rows[0])
+    drive.fill_record(rows[0])
     return int(stepper.count_lost_steps(rows[0], float(trace["count"][-1]), float(trace["theta"][-1])))
 
 
 def _check_speeds(rpm: Floats) -> np.ndarray:
+    """Return the speeds as an array. Raises ArgumentError for speeds that are not above 0."""
     speeds = np.atleast_1d(np.asarray(rpm, float))
     if not ((speeds > 0) & (speeds <= 20_000)).all():
         raise ArgumentError(f"rpm={rpm!r}: a brake needs turning rotors: give speeds above 0, up to 20000 rpm.")
@@ -248,15 +263,15 @@ def _check_speeds(rpm: Floats) -> np.ndarray:
 
 
 def _compute_damping(drive: Drive, inertia: float, ratio: float) -> float:
-    """Return the damping, N m s/rad, that is `ratio` of the critical damping of the rotor's swing about its field."""
+    """Return the damping, N m s/rad, that is `ratio` times the critical damping of the rotor's swing about its field."""
     check_in_range("damping_ratio", ratio, 0, 10, "times critical", zero=True)
     return 2 * ratio * inertia * 2 * math.pi * compute_natural_frequency(replace(drive, detent=0.0), inertia)
 
 
 def _split_core_loss(drive: Drive) -> tuple[Drive, float]:
-    """Return the drive with its motor's core loss taken away, and that loss, N m s/rad.
+    """Return the drive with a motor without core loss, and the damping of that core loss, N m s/rad.
 
-    At a commanded speed w0 the loss b w is a brake of b w0 and a damper b that turns at w0. Simulated so, the brake comes on
+    At a commanded speed w0 the loss b w equals a brake of b w0 and a damper b that turns at w0. In this form the brake comes on
     smoothly like any other load, and does not hit a rotor that starts in step without a load angle.
     """
     loss = drive.motor.core_loss_damping
@@ -266,18 +281,23 @@ def _split_core_loss(drive: Drive) -> tuple[Drive, float]:
 def simulate_pull_out(
     drive: Drive, rpm: Floats, inertia: float | None = None, damping_ratio: float = 0.15
 ) -> np.ndarray:
-    """Simulate the pull-out torque at each speed, N m, (n,): the most friction with which a rotor keeps up; 0 if it slips unloaded.
+    """Simulate the pull-out torque at each speed, N m, shape (n,): the largest friction with which a rotor keeps up.
 
-    The rotor also turns against the motor's core loss, which is thus taken off, as on a real bench.
+    The result is 0 if the rotor slips without friction. As on a real bench, it does not include the torque against the motor's
+    core loss. The rotor starts in step; the brake comes on smoothly over BRAKE_ONSET_S and holds for BRAKE_HOLD_S. A bisection
+    finds the torque to
+    1/4000 of the holding torque. (A brake that grows until the rotor slips would read high, because it grows on while the rotor
+    slowly falls out of step.)
 
-    The rotor starts in step, the brake comes on smoothly over SETTLE and holds for HOLD; bisected to 1/4000 of the holding
-    range. (A brake that grows until the rotor slips reads high: while a rotor falls out, slowly, the brake grows on.)
+    Args:
+        drive: Drive with its motor.
+        rpm: Speeds, shape (n,).
+        inertia: Moment of inertia with that of the rotor, kg m^2; default: ten rotors.
+        damping_ratio: Ratio to the critical damping, of a damper that turns at the commanded speed and takes no torque. The
+            defaults keep resonance from throwing the rotor out of step early; `sweep_resonance` shows the effect of less damping.
 
-    inertia: kg m^2, rotor included; default ten rotors. damping_ratio: of the damper that turns with the commanded
-    speed and takes no torque. The defaults keep resonance from throwing the rotor out before its torque is spent;
-    `sweep_resonance` shows what happens without.
-
-    Raises ArgumentError for speeds that are not above 0.
+    Raises:
+        ArgumentError: Speeds that are not above 0.
     """
     inertia = 10 * drive.motor.rotor_inertia if inertia is None else inertia
     drive, loss = _split_core_loss(drive)
@@ -335,13 +355,14 @@ def count_steps_lost_in_start(
 
 
 def find_pull_in_rate(drive: Drive, inertia: float, load: float = 0.0, viscous: float = DEFAULT_DAMPING_N_M_S) -> float:
-    """Find the pull-in rate, pps: up to it a motor starts at once, from rest, without losing a step. 0 if no rate does.
+    """Find the pull-in rate, pps: the highest rate at which a motor starts at once, from rest, without losing a step. 0 if no rate
+    does.
 
     The search raises the rate from 50 full steps a second in steps of 3 % until a start fails, and then bisects to 0.2 %.
 
     Args:
         drive: Drive with its motor.
-        inertia: kg m^2, rotor included.
+        inertia: Moment of inertia with that of the rotor, kg m^2.
         load: Friction, N m.
         viscous: Damping, N m s/rad.
     """
@@ -358,13 +379,13 @@ def find_pull_in_rate(drive: Drive, inertia: float, load: float = 0.0, viscous: 
 
 
 def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
-    """Simulate the natural frequency of a rotor that is released 1/40 full step away from a microstep, Hz.
+    """Simulate a rotor that is released 1/40 full step away from a microstep, and return the frequency of its swing, Hz.
 
-    The frequency is the mean over the zero crossings of its swing.
+    The frequency is the mean over the zero crossings of the swing.
 
     Args:
         drive: Drive with its motor.
-        inertia: kg m^2, rotor included.
+        inertia: Moment of inertia with that of the rotor, kg m^2.
         microstep: Microstep on which the drive stands.
         viscous: Damping, N m s/rad.
 
@@ -394,12 +415,12 @@ def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous
 
 
 class Resonance(NamedTuple):
-    """Results of a sweep of the step rate.
+    """Results of `sweep_resonance`.
 
     Attributes:
-        rate: Full steps per second, (n,).
-        torque: Pull-out torque there, N m.
-        ripple: Speed ripple of the unloaded rotor, rms, rad/s.
+        rate: Full steps per second, shape (n,).
+        torque: Pull-out torque at each rate, N m.
+        ripple: Root mean square of the speed ripple without load, rad/s.
     """
 
     rate: np.ndarray
@@ -410,16 +431,16 @@ class Resonance(NamedTuple):
 def sweep_resonance(
     drive: Drive, rates: Floats, inertia: float | None = None, damping_ratio: float = 0.06
 ) -> Resonance:
-    """Simulate pull-out torque and speed ripple of a nearly bare rotor over the step rate.
+    """Simulate pull-out torque and speed ripple of a nearly bare rotor at a series of step rates.
 
-    A full-step drive excites the rotor at the step rate. Near the natural frequency it loses torque, down to 0 where the rotor
+    A full-step drive excites the rotor at the step rate. Near the natural frequency the rotor loses torque, down to 0 where it
     falls out of step without load.
 
     Args:
         drive: Drive with its motor.
-        rates: Full steps per second, (n,).
-        inertia: kg m^2, rotor included; default: the bare rotor.
-        damping_ratio: As of `simulate_pull_out`.
+        rates: Full steps per second, shape (n,).
+        inertia: Moment of inertia with that of the rotor, kg m^2; default: the bare rotor.
+        damping_ratio: Ratio to the critical damping, as in `simulate_pull_out`.
     """
     rate = np.atleast_1d(np.asarray(rates, float))
     inertia = drive.motor.rotor_inertia if inertia is None else inertia
@@ -440,14 +461,14 @@ def sweep_resonance(
 def tabulate_pull_out(
     drive: Drive, rpm: Floats | None = None, progress: Callable[[float], None] | None = None
 ) -> PullOut:
-    """Compute the curves of the pull-out picture; `print` shows them as a table.
+    """Compute all curves of a pull-out plot. `print` shows the result as a table.
 
     The ideal sine drive has 256 microsteps and no detent torque.
 
     Args:
         drive: Drive with its motor.
-        rpm: Speeds, (n,); default: 50 to 2400.
-        progress: Function that is called with the fraction done.
+        rpm: Speeds, shape (n,); default: 50 to 2400.
+        progress: Function that is called with the completed fraction.
     """
     speeds = _check_speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
     sine = replace(drive, mode="sine", microsteps=256, detent=0.0)
@@ -460,5 +481,5 @@ def tabulate_pull_out(
     return PullOut(
         speeds, simulated, ideal_drive,
         compute_closed_form(m, v, i, speeds), compute_closed_form(m, 4 / math.pi * v, i, speeds),
-        compute_joint_bound(m, v, i, speeds), m.steps_per_turn,
+        compute_voltage_and_current_bound(m, v, i, speeds), m.steps_per_turn,
     )  # fmt: skip

@@ -1,13 +1,13 @@
-"""Tolerances of motors: the ranges in which the core loss and the inductance of a machine lie that nobody has measured.
+"""Tolerances of motors: ranges of the core loss and the inductance of a motor on which nobody has measured them.
 
     tolerances = estimate_tolerances("17HS4401")
     tolerances["core_loss_damping"]                        low, high, and the evidence for them
     vary_motor("17HS4401", inductance=tolerances["inductance"].interpolate(0.5))
 
-The hidden machines of the environments and the machines of `stage tune` are drawn from it.
+The hidden machines of the environments and the machines of `stage tune` are drawn from these ranges.
 
-One curve cannot tell a core loss from an inductance, so each of the
-two is drawn without regard to the other, which covers more machines than any curve allows.
+A single pull-out curve cannot distinguish a core loss from an inductance. So each of the two is drawn independently of the other,
+which covers more machines than any curve allows.
 """
 
 from __future__ import annotations
@@ -33,20 +33,33 @@ FITTED_LOSS_RANGE = 0.65, 1.25
 
 
 class ToleranceRange(NamedTuple):
-    """Range of a value over machines, in the value's unit, and the evidence for it: a letter of EVIDENCE and a reason."""
+    """Range of a motor's value over all machines.
+
+    Attributes:
+        low: Smallest value, in the unit of the value.
+        high: Largest value.
+        evidence: Letter of EVIDENCE and a reason.
+    """
 
     low: float
     high: float
     evidence: str
 
     def interpolate(self, share: float) -> float:
-        """Return the value at a share from 0 (low) to 1 (high), by its logarithm."""
+        """Return a value between low (share 0) and high (share 1), interpolated by the logarithm."""
         low, high = portable_math.log((self.low, self.high))
         return float(portable_math.exp(low + (high - low) * share))
 
 
 def estimate_tolerances(motor: Motor | str) -> dict[str, ToleranceRange]:
-    """Estimate the spread of a motor's core loss damping, N m s/rad, and inductance, H, by name, from their evidence."""
+    """Estimate the ranges of a motor's core loss damping, N m s/rad, and inductance, H, from their evidence.
+
+    Args:
+        motor: Motor or name of a preset.
+
+    Returns:
+        Ranges by name: "core_loss_damping" and "inductance".
+    """
     motor = find_motor(motor)
     tolerance = read_tolerance(motor, "core_loss_resistance")
     if tolerance is not None:
@@ -79,7 +92,12 @@ def estimate_tolerances(motor: Motor | str) -> dict[str, ToleranceRange]:
 
 
 def vary_motor(motor: Motor | str, core_loss_damping: float | None = None, inductance: float | None = None) -> Motor:
-    """Return the motor with another core loss damping, N m s/rad, 0 for none, or inductance, H; None: as it is.
+    """Return the motor with another core loss damping or inductance.
+
+    Args:
+        motor: Motor or name of a preset.
+        core_loss_damping: Core loss damping, N m s/rad, 0 for none; None: unchanged.
+        inductance: Inductance, H; None: unchanged.
 
     Raises:
         ArgumentError: A value that no motor has.

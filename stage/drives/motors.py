@@ -1,4 +1,4 @@
-"""Stepper motors by name, and the drive that feeds one. Each value of a preset states its source."""
+"""Stepper motors by name, and the microstepping drive for them. Each value of a preset states its source."""
 
 from __future__ import annotations
 
@@ -38,9 +38,16 @@ MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
 def check_in_range(
     quantity: str, value: object, low: float, high: float, unit: str, zero: bool = False, otherwise: str = ""
 ) -> None:
-    """Raise ArgumentError unless `value` is a number above `low` (or, if `zero`, from `low` on) up to `high`.
+    """Raise ArgumentError unless `value` is a number above `low` (or, if `zero` is True, equal to `low`) and at most `high`.
 
-    `otherwise` ends the sentence with what may be given in place of a number.
+    Args:
+        quantity: Name of the value, for the message.
+        value: Value to check.
+        low: Lower limit.
+        high: Upper limit.
+        unit: Unit of the value.
+        zero: Whether the lower limit itself is allowed.
+        otherwise: End of the message that says what may be given in place of a number.
     """
     fits = isinstance(value, Real) and not isinstance(value, bool)
     if fits and (low <= value <= high if zero else low < value <= high):  # type: ignore[operator]
@@ -108,7 +115,7 @@ class Motor:
 
     @property
     def rotor_teeth(self) -> int:
-        """Nr: a full step is a quarter of a tooth."""
+        """Number of rotor teeth Nr; a full step is a quarter of a tooth."""
         return self.steps_per_turn // 4
 
     @property
@@ -198,17 +205,21 @@ class LikelyCoreLoss(NamedTuple):
 
 
 def estimate_core_loss(motor: Motor | str) -> LikelyCoreLoss:
-    """Estimate the core loss of a motor from its holding torque, after the motor whose curve is published."""
+    """Estimate the core loss of a motor from its holding torque, in the proportion of the motor whose curve is published."""
     return LikelyCoreLoss(*(find_motor(motor).holding_torque * share for share in LIKELY_CORE_LOSS_S))
 
 
 def is_core_loss_known(motor: Motor | str) -> bool:
-    """Return whether the core loss of a motor is fitted to a curve of it or stated by its data sheet."""
+    """Return whether the core loss of a motor is fitted to a published curve of that motor or stated by its data sheet."""
     return find_motor(motor).evidence.get("core_loss_resistance", "")[:1] in ("C", "S")
 
 
 def read_tolerance(motor: Any, field: str) -> float | None:
-    """Read the tolerance of a motor's value from its evidence, as 0.1 from "S: +-10 %"; None where it states none.
+    """Return the tolerance that the evidence of a motor's value states, for example 0.1 for "S: +-10 %"; None if it states none.
+
+    Args:
+        motor: Stepper motor or DC motor.
+        field: Name of the value.
 
     Raises:
         ArgumentError: A tolerance of 100 % or more.
@@ -238,7 +249,7 @@ def describe_core_loss(motor: Motor | str) -> str:
 
 
 def find_motor(name: str | Motor) -> Motor:
-    """Return the preset of this name, or the motor itself.
+    """Return the preset of this name. A Motor is returned unchanged.
 
     Raises:
         ArgumentError: No preset has this name; the error proposes similar ones.
@@ -257,13 +268,14 @@ class Drive:
 
     Attributes:
         motor: A Motor or a preset's name.
-        microsteps: Microsteps of a full step, 1 to 256.
+        microsteps: Microsteps per full step, 1 to 256.
         bus_voltage: Supply voltage, V, up to 400.
-        current: Amplitude of a phase's sine, A, up to twice the rated current; default: rated, or the most of the power stage.
+        current: Amplitude of a phase's sine, A, up to twice the rated current; default: the rated current, or the largest current
+            of the power stage if that is less.
         mode: "chopper", or "sine" for the ideal drive of the closed form.
-        detent: Detent torque in place of the motor's own, N m; 0: none.
+        detent: Detent torque that replaces the motor's own, N m; 0: none.
         power_stage: A PowerStage or its name, which limits microsteps, supply and current and demands times of STEP/DIR edges.
-        drops_edges: STEP edges that break these times are lost; otherwise a diagnostic says what silicon may do.
+        drops_edges: Whether STEP edges that violate these times are lost. Otherwise a diagnostic says what silicon may do.
 
     Raises:
         ArgumentError: A value that no drive, or not this power stage, has.
@@ -325,7 +337,7 @@ class Drive:
 
     @property
     def detent_torque(self) -> float:
-        """Detent torque, N m: that of the drive or the motor's own."""
+        """Detent torque in use, N m: `detent`, or the motor's own."""
         return self.motor.detent_torque if self.detent is None else self.detent
 
     @property
@@ -335,22 +347,22 @@ class Drive:
 
     @property
     def title(self) -> str:
-        """Motor and settings, for people."""
+        """Motor and settings in words."""
         power_stage = "" if self.power_stage.name == IDEAL.name else f", {self.power_stage.name}"
         return f"{self.motor.name}, 1/{self.microsteps} steps{power_stage}"
 
     @property
     def pulses_per_turn(self) -> int:
-        """Pulses of a turn of the motor."""
+        """Pulses per turn of the motor."""
         return int(self.motor.steps_per_turn * self.microsteps)
 
     @property
     def per_pulse(self) -> float:
-        """Electrical radians a pulse."""
+        """Electrical radians per pulse."""
         return math.pi / 2 / self.microsteps
 
-    def fill(self, record: Any) -> None:
-        """Write the parameters into a DRIVE record; its state stays."""
+    def fill_record(self, record: Any) -> None:
+        """Write the parameters into a DRIVE record; the state in the record stays."""
         m = self.motor
         record.resistance, record.inductance, record.torque_constant = (
             m.resistance,

@@ -106,11 +106,11 @@ class PowerStage:
 
     @property
     def times(self) -> tuple[float, ...]:
-        """Shortest allowed times in the order of TIMES, s."""
+        """Shortest allowed times between edges, s, in the order of TIMES."""
         return tuple(getattr(self, time) for time in TIMES)
 
     def find_microsteps(self, levels: str) -> int:
-        """Return the microsteps per full step that levels of the mode pins select, as 16 for "HHH".
+        """Return the microsteps per full step that the levels of the mode pins select, for example 16 for "HHH".
 
         Raises:
             ArgumentError: The data sheet has no microsteps for these levels.
@@ -187,7 +187,7 @@ POWER_STAGES: dict[str, PowerStage] = {p.name: p for p in (IDEAL, A4988, DRV8825
 
 
 def is_power_stage(name: object) -> bool:
-    """Return whether a power stage has this name, PulseStage's own or one of an installed package."""
+    """Return whether PulseStage or an installed package has a power stage of this name."""
     return isinstance(name, str) and (name.lower() in POWER_STAGES or name.lower() in _find_parts())
 
 
@@ -197,11 +197,11 @@ def list_power_stages() -> list[str]:
 
 
 def find_power_stage(name: str | PowerStage) -> PowerStage:
-    """Return the power stage of this name, or the power stage itself.
+    """Return the power stage of this name. A PowerStage is returned unchanged.
 
     Raises:
-        ArgumentError: There is none, two packages bring it, or what a package brings is no PowerStage of this name.
-        LoadError: The package that brings it cannot be imported.
+        ArgumentError: There is none, two packages provide it, or what a package provides is no PowerStage of this name.
+        LoadError: The package that provides it cannot be imported.
     """
     if isinstance(name, PowerStage):
         return name
@@ -214,6 +214,7 @@ def find_power_stage(name: str | PowerStage) -> PowerStage:
 
 
 def _load_power_stage(name: str, parts: list[PackagePart]) -> PowerStage:
+    """Import the power stage that the entry points of a package name."""
     power_stage = load_package_part("power stage", name, parts)
     if not isinstance(power_stage, PowerStage) or power_stage.name != name:
         raise ArgumentError(

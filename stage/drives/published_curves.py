@@ -4,8 +4,8 @@
     fit = fit_curve("17HS19-2004S1", curve, [200, 500, 700, 900])
     print(fit)                      published, predicted and deviation at each speed
 
-A curve holds for the driver that it was measured with: losses of that driver are in it as well. One curve cannot tell a core
-loss from an inductance that is larger than the data sheet's; it fixes at most two values of a motor.
+A curve includes the losses of the driver with which it was measured. A single curve cannot distinguish a core loss from an
+inductance that is larger than the data sheet's; it determines at most two values of a motor.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ CORE_LOSS_UNIT = 1e-3  # s/rad: a core loss is fitted in multiples of this and o
 
 @dataclass(frozen=True)
 class PublishedCurve:
-    """A pull-out curve as its maker publishes it.
+    """Pull-out curve as its maker publishes it.
 
     Attributes:
         motor: Name of the motor.
         bus_voltage: Supply of the driver, V.
         current: Peak current of a phase, A.
-        microsteps: Microsteps of a full step.
+        microsteps: Microsteps per full step.
         rpm: Speeds, rising.
         torque: Pull-out torque at each speed, N m.
-        source: Document and driver that the curve is of.
+        source: Document, and the driver with which the curve was measured.
         reading: How its numbers were read, and how precisely.
 
     Raises:
@@ -81,21 +81,27 @@ class PublishedCurve:
         Drive(microsteps=self.microsteps, bus_voltage=self.bus_voltage)  # raises for settings that no drive has
         check_in_range(f"curve of the {self.motor}: current", self.current, 0, 100, "A")
 
-    def drive(self, motor: Motor | str) -> Drive:
-        """Return `motor` on the supply, current and microsteps of the curve."""
+    def build_drive(self, motor: Motor | str) -> Drive:
+        """Build a drive with `motor` and the supply, current and microsteps of the curve."""
         return Drive(find_motor(motor), microsteps=self.microsteps, bus_voltage=self.bus_voltage, current=self.current)
 
     def predict(self, motor: Motor | str) -> np.ndarray:
-        """Simulate the pull-out torque of `motor` on the bench at the curve's speeds and settings, N m, (n,)."""
-        return simulate_pull_out(self.drive(motor), self.rpm)
+        """Simulate the pull-out torque of `motor` at the speeds and settings of the curve, N m, shape (n,)."""
+        return simulate_pull_out(self.build_drive(motor), self.rpm)
 
     def compare(self, motor: Motor | str) -> CurveComparison:
-        """Compare the curve with what the bench simulates of `motor`."""
+        """Compare the curve with the simulated pull-out torque of `motor`."""
         return CurveComparison(np.array(self.rpm, float), np.array(self.torque, float), self.predict(motor))
 
 
 class CurveComparison(NamedTuple):
-    """Speeds (rpm), the published and the simulated pull-out torque (N m), each (n,). `print` gives the table."""
+    """Comparison of a published with a simulated pull-out curve. `print` shows it as a table.
+
+    Attributes:
+        rpm: Speeds, shape (n,).
+        published: Published torque, N m, shape (n,).
+        simulated: Simulated torque, N m, shape (n,).
+    """
 
     rpm: np.ndarray
     published: np.ndarray
@@ -103,11 +109,11 @@ class CurveComparison(NamedTuple):
 
     @property
     def deviation(self) -> np.ndarray:
-        """Simulated over published torque, less 1, (n,)."""
+        """Relative deviation of the simulated from the published torque, shape (n,)."""
         return self.simulated / self.published - 1
 
     def compute_rms(self, speeds: Sequence[float] | None = None) -> float:
-        """Compute the root mean square of the deviation at `speeds`; default: at all.
+        """Compute the root mean square of the deviation at `speeds`; default: at all speeds.
 
         Raises:
             ArgumentError: No speed, or one that the curve does not have.
@@ -128,9 +134,9 @@ class CurveFit(NamedTuple):
 
     Attributes:
         motor: The motor.
-        fitted: Speeds fitted, rpm.
+        fitted: Speeds of the fitted points, rpm.
         comparison: Comparison at all speeds.
-        rms_of_others: Rms deviation at the speeds that were not fitted, NaN if all were.
+        rms_of_others: Root mean square of the deviation at the other speeds; NaN if all points were fitted.
     """
 
     motor: Motor
@@ -150,14 +156,14 @@ def fit_curve(
     speeds: Sequence[float],
     values: Sequence[str] = ("holding_torque", "core_loss_resistance"),
 ) -> CurveFit:
-    """Fit one or two values of a motor to points of a curve, and predict the others.
+    """Fit one or two values of a motor to points of a curve, and predict the other points.
 
-    Relative deviations are made least by Gauss-Newton steps, on the bench and so with the chopper of the model.
+    Gauss-Newton steps minimize the relative deviations of the simulated pull-out torque.
 
     Args:
         motor: Motor whose other values stay as they are.
         curve: Published curve.
-        speeds: Speeds of the curve to fit, rpm, as many as values or more, up to 6.
+        speeds: Speeds of the curve to fit, rpm; at least as many as values, at most 6.
         values: One or two of holding_torque, effective_inductance and core_loss_resistance.
 
     Raises:
@@ -181,15 +187,17 @@ def fit_curve(
 
 
 def _scale_holding_torque(motor: Motor, start: Motor, factor: float) -> Motor:
+    """Return the motor with `factor` times the holding torque of `start`."""
     return replace(motor, holding_torque=factor * start.holding_torque)
 
 
 def _scale_effective_inductance(motor: Motor, start: Motor, factor: float) -> Motor:
+    """Return the motor with `factor` times the inductance of `start` as its effective inductance."""
     return replace(motor, effective_inductance=factor * start.inductance)
 
 
 def _scale_core_loss(motor: Motor, start: Motor, factor: float) -> Motor:
-    """Give the motor a loss of `factor` units; call it last, as the resistance depends on the torque constant."""
+    """Return the motor with a core loss of `factor` units. Call it last, because the resistance depends on the torque constant."""
     damping = factor * CORE_LOSS_UNIT * start.holding_torque
     return replace(motor, core_loss_resistance=motor.torque_constant**2 / damping if damping > 0 else None)
 
@@ -203,18 +211,21 @@ _VALUES: dict[str, Any] = {
 
 
 def _fit_values(motor: Motor, curve: PublishedCurve, speeds: np.ndarray, values: list[str]) -> Motor:
+    """Return the motor with the values that minimize the deviations at some speeds of a curve."""
     names = [name for name in _VALUES if name in values]
     published = np.array(curve.torque, float)[np.isin(curve.rpm, speeds)]
     least = np.array([_VALUES[name][2] for name in names])
 
     def build(factors: np.ndarray) -> Motor:
+        """Return the motor with these factors of the fitted values."""
         built = motor
         for name, factor in zip(names, factors, strict=True):
             built = _VALUES[name][0](built, motor, float(factor))
         return built
 
     def deviate(factors: np.ndarray) -> np.ndarray:
-        return simulate_pull_out(curve.drive(build(factors)), speeds) / published - 1
+        """Return the relative deviations of the motor with these factors."""
+        return simulate_pull_out(curve.build_drive(build(factors)), speeds) / published - 1
 
     factors = np.array([_VALUES[name][1] for name in names])
     for _ in range(GAUSS_NEWTON_STEPS):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.drives.dynamometer import PullOut, compute_closed_form, compute_joint_bound, simulate_pull_out
+from stage.drives.dynamometer import PullOut, compute_closed_form, compute_voltage_and_current_bound, simulate_pull_out
 from stage.drives.motor_tolerances import vary_motor
 from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
@@ -18,7 +18,7 @@ ACCENT, BAND = COLORS[0], "#cfe0f2"
 
 
 def _decorate_axes(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
-    """Dress the axes of the picture, with the pulse rate of the drive's microsteps below the speed."""
+    """Set limits, labels and grid of a plot, and show the pulse rate below the speed."""
     ax.set_xlim(0, rpm_max)
     ax.set_ylim(0, torque_max)
     ax.set_xlabel("speed (rpm)", color=TEXT_COLOR)
@@ -32,21 +32,31 @@ def _decorate_axes(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> 
 
 
 def _compute_closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
-    """Return speeds, finer than simulated, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
+    """Compute the theoretical curves on a fine grid of speeds.
+
+    Returns:
+        Speeds, rpm; closed forms at V and at 4/pi V; and the bound by both limits at once, N m.
+    """
     rpm, (m, v, i) = np.linspace(0, rpm_max, 601), (drive.motor, drive.bus_voltage, drive.amplitude)
     return (
         rpm,
         compute_closed_form(m, v, i, rpm),
         compute_closed_form(m, 4 / np.pi * v, i, rpm),
-        compute_joint_bound(m, v, i, rpm),
+        compute_voltage_and_current_bound(m, v, i, rpm),
     )
 
 
 def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwrite: bool = False) -> Any:
-    """Draw the pull-out torque of one motor over speed, as simulated, on the closed forms; save it to `path` if given.
+    """Plot the simulated pull-out torque of one motor over speed, together with the closed forms.
 
-    The published curve of the motor is drawn beside what the simulation makes of its settings. A motor without a published curve
-    gets the band of its likely core loss.
+    If the motor has a published curve, the plot shows that curve and the simulation with the curve's settings. Otherwise it shows
+    the band of the motor's likely core loss.
+
+    Args:
+        drive: Drive with its motor.
+        table: Curves of `tabulate_pull_out`.
+        path: File to save the figure in, if any.
+        overwrite: Whether a file that exists is replaced.
 
     Returns:
         The figure.
@@ -81,7 +91,7 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
 
 
 def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
-    """Draw a published curve, and what the simulation makes of the motor at its settings."""
+    """Draw a published curve, and the simulated torque of the motor with the settings of that curve."""
     comparison, settings = curve.compare(motor), f"{curve.bus_voltage:g} V, {curve.current:g} A"
     ax.plot(comparison.rpm, comparison.published, "D", color=COLORS[1], markersize=5, label=f"published, {settings}")
     ax.plot(
@@ -95,7 +105,8 @@ def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
 
 
 def _draw_likely_loss(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
-    """Draw the band between the least and the most core loss that a motor without a published curve is likely to have."""
+    """Draw the band of torque between the smallest and the largest core loss that a motor without a published curve is likely to
+    have."""
     likely = estimate_core_loss(drive.motor)
     high, low = (
         simulate_pull_out(replace(drive, motor=vary_motor(drive.motor, core_loss_damping=loss)), rpm)

@@ -1,11 +1,11 @@
-"""DC servo amplifier and motor, compiled: a motor command in, terminal voltage out.
+"""DC servo amplifier and motor, compiled: from a motor command to the terminal voltage.
 
     i = (v - K w) / R        T = K i
 
-MuJoCo's <dcmotor> makes the torque from the voltage. The inductance is left out: L / R is little beside the mechanical time
-constant J R / K^2 of a loaded axis. The current that is logged is that of the same formula.
+MuJoCo's <dcmotor> computes the torque from the voltage. The inductance is neglected, because L / R is small compared with the
+mechanical time constant J R / K^2 of a loaded axis. The logged current follows from the same formula.
 
-An amplifier with a current limit lowers its voltage to the one at which the limit flows.
+An amplifier with a current limit lowers its voltage to the value at which the limit flows.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from stage.native import hot
 
 @hot
 def compute_mean_voltage(drive, shares, n_slices, omega, gain=0.0):
-    """Compute the mean terminal voltage, V, over n slices.
+    """Compute the mean terminal voltage over `n_slices` slices, V.
 
-    MuJoCo takes the back-EMF at the end of the step. A current limit holds for the speed by then, if the rotor gains as much as in
-    the step before: nothing against a load that holds it, and at most what the torque of the limit gives to a free one.
+    MuJoCo uses the back-EMF at the end of the physics step. So the current limit is computed for the speed expected there: the
+    rotor gains as much speed as in the step before, between nothing (a load that holds it) and what the torque at the limit gives
+    to a free rotor.
 
     Args:
         drive: DRIVE record of a servo.
-        shares: (n,), the motor command of each slice as a share of full drive, -1 to 1.
+        shares: Motor command of each slice as a fraction of full drive, -1 to 1, shape (n_slices,).
         n_slices: Number of slices.
         omega: Speed of the rotor at the beginning, rad/s.
-        gain: Speed that a newton metre adds in half of the n slices, rad/s.
+        gain: Speed that one newton meter adds in half of the slices, rad/s.
     """
     total = 0.0
     for k in range(n_slices):

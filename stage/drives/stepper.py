@@ -10,7 +10,7 @@ exponential i(h) = i + (v - e - R i) / R (1 - exp(-h R / L)). The drive's target
 CHOPPER holds each phase on its target wherever +-V reaches within the slice, else at full voltage: a fixed-frequency chopper
 without ripple. SINE is the ideal drive of the closed form min(T_V, T_I): an ideal current source of amplitude I up to the
 speed where T_V falls below T_I, an ideal voltage source of amplitude V above. (No drive that is bound by both limits at once
-reaches that corner: see dynamometer.compute_joint_bound.)
+reaches that corner: see dynamometer.compute_voltage_and_current_bound.)
 
 Equations: the two-phase model of drives.md (Simscape Electrical "Stepper Motor").
 """
@@ -89,11 +89,11 @@ def power_up(drive, count, theta):
 
 @hot
 def _compute_slice_constants(drive, slice_s):
-    """Compute the constants of the currents' differential equation over a slice of h seconds.
+    """Compute the constants of the currents' differential equation for a slice of `slice_s` seconds.
 
     Returns:
-        Share of a current that is left at the end, the current that the bus voltage adds, and the current that the back-EMF
-        takes for each rad/s.
+        Fraction of a current that is left at the end of the slice, the current that the bus voltage adds, and the current that the
+        back-EMF takes for each rad/s.
     """
     drive.slice = slice_s
     drive.keep = math.exp(-slice_s * drive.resistance / drive.inductance)
@@ -113,49 +113,55 @@ def _compute_voltage_limited_torque(drive, omega):
 
 @hot
 def _is_sine_held(drive, omega):
-    """Tell whether the bus voltage of a sine drive keeps the currents at their targets at this speed."""
+    """Return whether the bus voltage of a sine drive keeps the currents at their targets at this speed."""
     return drive.mode == SINE and _compute_voltage_limited_torque(drive, omega) >= drive.torque_constant * drive.current
 
 
 @hot
-def _advance_slice(drive, a, b, ta, tb, s, c, omega, sine_held):
-    """Compute the currents at the end of a slice, and their means over it.
+def _advance_slice(drive, current_a, current_b, cos_target, sin_target, sin_rotor, cos_rotor, omega, sine_held):
+    """Compute the currents at the end of a slice, and their means over the slice.
 
-    The mean of a current is that of its two ends, which is exact but for h R / (12 L) of the change.
+    The mean of a current is that of its values at both ends, which is exact to h R / (12 L) of the change.
 
     Args:
         drive: DRIVE record.
-        a: Current of phase A at the beginning, A.
-        b: Current of phase B at the beginning, A.
-        ta: Cosine of the commanded phase.
-        tb: Sine of the commanded phase.
-        s: Sine of the rotor's phase.
-        c: Cosine of the rotor's phase.
+        current_a: Current of phase A at the beginning, A.
+        current_b: Current of phase B at the beginning, A.
+        cos_target: Cosine of the commanded electrical angle.
+        sin_target: Sine of the commanded electrical angle.
+        sin_rotor: Sine of the rotor's electrical angle.
+        cos_rotor: Cosine of the rotor's electrical angle.
         omega: Speed of the rotor, rad/s.
         sine_held: Result of `_is_sine_held`.
     """
     push = drive.back * omega
-    ia, ib = drive.current * ta, drive.current * tb
+    ia, ib = drive.current * cos_target, drive.current * sin_target
     if drive.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
-        ia = least(greatest(ia, a * drive.keep + (push * s - drive.reach)), a * drive.keep + (push * s + drive.reach))
-        ib = least(greatest(ib, b * drive.keep - (push * c + drive.reach)), b * drive.keep - (push * c - drive.reach))
+        ia = least(
+            greatest(ia, current_a * drive.keep + (push * sin_rotor - drive.reach)),
+            current_a * drive.keep + (push * sin_rotor + drive.reach),
+        )
+        ib = least(
+            greatest(ib, current_b * drive.keep - (push * cos_rotor + drive.reach)),
+            current_b * drive.keep - (push * cos_rotor - drive.reach),
+        )
     elif sine_held:
-        a, b = ia, ib
+        current_a, current_b = ia, ib
     else:
-        ia = a * drive.keep + (push * s + drive.reach * ta)
-        ib = b * drive.keep - (push * c - drive.reach * tb)
-    return ia, ib, 0.5 * (a + ia), 0.5 * (b + ib)
+        ia = current_a * drive.keep + (push * sin_rotor + drive.reach * cos_target)
+        ib = current_b * drive.keep - (push * cos_rotor - drive.reach * sin_target)
+    return ia, ib, 0.5 * (current_a + ia), 0.5 * (current_b + ib)
 
 
 @hot
 def _place_targets(drive, waves, counts, n_slices, turn, omega):
-    """Write into `waves` the angles from the rotor to the targets of the currents at the end of each slice.
+    """Write the angle from the rotor to the target of the currents at the end of each slice into `waves`.
 
-    Each entry is sine and cosine of that angle, relative to the angle of the slice that ends in the middle of the window. The
+    An entry is the sine and cosine of that angle, relative to the angle of the slice that ends in the middle of the window. The
     entry of that slice itself is sine and cosine of `turn`.
 
     Returns:
-        Whether these angles are small, and whether the bus voltage takes the currents from target to target.
+        Whether these angles are small and the bus voltage takes the currents from target to target.
     """
     per_pulse, middle = drive.per_pulse, counts[MIDDLE_SLICE]
     allowed = drive.reach - abs(drive.back * omega) - drive.current * (1.0 - drive.keep)
@@ -170,18 +176,20 @@ def _place_targets(drive, waves, counts, n_slices, turn, omega):
 
 
 @hot
-def _advance_on_targets(drive, waves, s, c, psi_s, psi_c, s4, c4, omega):
+def _advance_on_targets(
+    drive, waves, sin_rotor, cos_rotor, sin_target, cos_target, sin_half_turn, cos_half_turn, omega
+):
     """Advance the currents of a chopper that reaches its target in every slice, so that slices do not depend on each other.
 
     Args:
         drive: DRIVE record.
         waves: Sines and cosines of the targets, as `_place_targets` leaves them.
-        s: Sine of the rotor's phase in the middle of the window.
-        c: Cosine of the rotor's phase in the middle of the window.
-        psi_s: Sine of the target at the end of the slice that ends in the middle of the window.
-        psi_c: Cosine of that target.
-        s4: Sine of the angle by which the rotor turns in half of the window.
-        c4: Cosine of that angle.
+        sin_rotor: Sine of the rotor's phase in the middle of the window.
+        cos_rotor: Cosine of the rotor's phase in the middle of the window.
+        sin_target: Sine of the target at the end of the slice that ends in the middle of the window.
+        cos_target: Cosine of that target.
+        sin_half_turn: Sine of the angle by which the rotor turns in half of the window.
+        cos_half_turn: Cosine of that angle.
         omega: Speed of the rotor, rad/s.
 
     Returns:
@@ -190,12 +198,12 @@ def _advance_on_targets(drive, waves, s, c, psi_s, psi_c, s4, c4, omega):
     """
     x, y, current = waves[SIN], waves[COS], drive.current
     target_s, target_c = current * x[0], current * y[0]
-    psi_s, psi_c = add_angles(psi_s, psi_c, -s, c)
+    sin_target, cos_target = add_angles(sin_target, cos_target, -sin_rotor, cos_rotor)
     # the currents at the beginning, as the rotor sees them then and at the end of the first slice
-    across, along = add_angles(drive.current_b, drive.current_a, -s, c)
-    across, along = add_angles(across, along, s4, c4)
+    across, along = add_angles(drive.current_b, drive.current_a, -sin_rotor, cos_rotor)
+    across, along = add_angles(across, along, sin_half_turn, cos_half_turn)
     then_s, then_c = add_angles(across, along, -x[MIDDLE_SLICE], y[MIDDLE_SLICE])
-    target_s, target_c = add_angles(target_s, target_c, psi_s, psi_c)
+    target_s, target_c = add_angles(target_s, target_c, sin_target, cos_target)
     change_s, change_c = target_s - drive.keep * then_s, target_c - drive.keep * then_c
     reach = drive.reach - abs(drive.back * omega)
     if change_s * change_s + change_c * change_c > reach * reach:
@@ -204,16 +212,16 @@ def _advance_on_targets(drive, waves, s, c, psi_s, psi_c, s4, c4, omega):
     sum_c = ((y[0] + y[6]) + (y[1] + y[5])) + ((y[2] + y[4]) + 0.5 * y[7]) + 1.0
     moment_s = (3.0 * (x[6] - x[0]) + 2.0 * (x[5] - x[1])) + (x[4] - x[2]) + 2.0 * x[7]
     moment_c = (3.0 * (y[6] - y[0]) + 2.0 * (y[5] - y[1])) + (y[4] - y[2]) + 2.0 * y[7]
-    last_s, last_c = add_angles(x[7], y[7], psi_s, psi_c)
-    last_s, last_c = add_angles(last_s, last_c, s4, c4)
-    last_s, last_c = add_angles(last_s, last_c, s, c)
+    last_s, last_c = add_angles(x[7], y[7], sin_target, cos_target)
+    last_s, last_c = add_angles(last_s, last_c, sin_half_turn, cos_half_turn)
+    last_s, last_c = add_angles(last_s, last_c, sin_rotor, cos_rotor)
     drive.current_a, drive.current_b = current * last_c, current * last_s
-    total = current * (sum_s * psi_c + sum_c * psi_s) + 0.5 * across
-    return total, current * (moment_c * psi_c - moment_s * psi_s) - 2.0 * along, True
+    total = current * (sum_s * cos_target + sum_c * sin_target) + 0.5 * across
+    return total, current * (moment_c * cos_target - moment_s * sin_target) - 2.0 * along, True
 
 
 @hot
-def _advance_by_slices(drive, waves, counts, n_slices, s, c, turn_s, turn_c, omega, half):
+def _advance_by_slices(drive, waves, counts, n_slices, sin_rotor, cos_rotor, sin_turn, cos_turn, omega, half_turn):
     """Advance the currents slice by slice, for every kind of drive and bus voltage; see `_advance_on_targets`.
 
     An open phase carries no current, whatever the drive commands.
@@ -223,57 +231,59 @@ def _advance_by_slices(drive, waves, counts, n_slices, s, c, turn_s, turn_c, ome
         waves: Gets the sine and cosine of the target of each slice.
         counts: Pulses commanded at each slice.
         n_slices: Number of slices.
-        s: Sine of the rotor's phase at the beginning of the window.
-        c: Cosine of the rotor's phase at the beginning of the window.
-        turn_s: Sine of the angle by which the rotor turns in each slice.
-        turn_c: Cosine of that angle.
+        sin_rotor: Sine of the rotor's phase at the beginning of the window.
+        cos_rotor: Cosine of the rotor's phase at the beginning of the window.
+        sin_turn: Sine of the angle by which the rotor turns in each slice.
+        cos_turn: Cosine of that angle.
         omega: Speed of the rotor, rad/s.
-        half: Electrical radians by which the rotor turns in half a slice.
+        half_turn: Electrical radians by which the rotor turns in half a slice.
     """
     for k in range(n_slices):
         waves[SIN, k], waves[COS, k] = compute_sincos(drive.offset + drive.per_pulse * counts[k])
     a, b, opened = drive.current_a, drive.current_b, drive.open
-    hs, hc = compute_sincos(half)
+    hs, hc = compute_sincos(half_turn)
     sine_held = _is_sine_held(drive, omega)
     total = tilt = 0.0
     if not sine_held:
-        total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * (a * c + b * s)
+        total, tilt = 0.5 * (b * cos_rotor - a * sin_rotor), -0.5 * (SLICES // 2) * (a * cos_rotor + b * sin_rotor)
     for k in range(n_slices):
-        middle_s, middle_c = add_angles(s, c, hs, hc)
+        middle_s, middle_c = add_angles(sin_rotor, cos_rotor, hs, hc)
         a, b, _, _ = _advance_slice(drive, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, sine_held)
         if opened & A:
             a = 0.0
         if opened & B:
             b = 0.0
-        s, c = add_angles(s, c, turn_s, turn_c)
+        sin_rotor, cos_rotor = add_angles(sin_rotor, cos_rotor, sin_turn, cos_turn)
         if sine_held:  # the currents are those of the middle of the slice, where the mean count belongs
             total += b * middle_c - a * middle_s
             tilt += (k + 0.5 - SLICES // 2) * (a * middle_c + b * middle_s)
             continue
         weight = 0.5 if k == n_slices - 1 else 1.0
-        total += weight * (b * c - a * s)
-        tilt += weight * (k + 1 - SLICES // 2) * (a * c + b * s)
+        total += weight * (b * cos_rotor - a * sin_rotor)
+        tilt += weight * (k + 1 - SLICES // 2) * (a * cos_rotor + b * sin_rotor)
     drive.current_a, drive.current_b = a, b
     return total, tilt
 
 
 @hot
 def compute_mean_torque(drive, counts, n_slices, theta, omega, slice_s, gain=0.0):
-    """Advance the currents by a window of SLICES slices of h seconds, and return the mean torque on the rotor, N m.
+    """Advance the currents by a window of SLICES slices, and return the mean torque on the rotor, N m.
 
-    The mean is that of the torques at the ends of the slices, the first and the last with half their weight: of what comes again
-    each electrical turn it is exact. A leapfrog's speed is half a window old. The torque along a path of that speed comes late and
-    feeds energy in, enough for a rotor without friction to run away. So the path gets the speed of its middle: T =
-    T(omega + gain T), solved with the slope of T, which is small. The currents take the back-EMF of omega.
+    The mean is that of the torques at the ends of the slices, with half weight for the first and the last; it is exact for
+    everything that is periodic in an electrical turn. The speed of a leapfrog is half a window old. Torque along a path with that
+    speed would come
+    late and feed in enough energy for a rotor without friction to run away. So the path gets the speed of its middle: T = T(omega +
+    gain T), solved with the slope of T, which is small. The currents get the back-EMF of omega.
 
     Args:
         drive: DRIVE record of a stepper.
-        counts: (SLICES,), commanded pulses, mean over each slice.
-        n_slices: SLICES, as a number that the compiler does not know: it would unroll the loops, and make no vectors of them.
+        counts: Commanded pulses, mean over each slice, shape (SLICES,).
+        n_slices: SLICES, as a number that the compiler does not know. With a constant it would unroll the loops instead of
+            vectorizing them.
         theta: Rotor angle in the middle of the window, rad.
-        omega: Its speed half a window earlier, rad/s.
+        omega: Speed of the rotor half a window earlier, rad/s.
         slice_s: Length of a slice, s.
-        gain: Speed that a newton metre adds in half of the window, rad/s.
+        gain: Speed that one newton meter adds in half of the window, rad/s.
     """
     if drive.slice != slice_s:
         _compute_slice_constants(drive, slice_s)
@@ -307,7 +317,7 @@ def compute_mean_torque(drive, counts, n_slices, theta, omega, slice_s, gain=0.0
 
 @hot
 def compute_slice_torque(drive, count, theta, omega, slice_s):
-    """Advance the currents by one slice and return the mean torque, as `compute_mean_torque`; for benches, where no phase is open.
+    """Advance the currents by one slice, and return the mean torque, N m. For test benches, on which no phase is open.
 
     Args:
         drive: DRIVE record.

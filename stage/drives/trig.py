@@ -14,7 +14,7 @@ FIRST, SECOND, THIRD = 1.5707963267341256, 6.077100506303966e-11, 2.022266248795
 
 @hot
 def compute_sincos(angle):
-    """Compute (sin x, cos x), x in radians. No branch and no integer, so that a loop over it makes vector instructions."""
+    """Compute (sin x, cos x) for x in radians, without branches and integers, so that a loop over it is vectorized."""
     k = floor(angle * QUARTERS + 0.5)
     r = angle - k * FIRST - k * SECOND - k * THIRD
     z = r * r
@@ -35,7 +35,8 @@ SMALL = 0.25  # rad
 
 @hot
 def compute_sincos_of_small_angle(angle):
-    """Compute (sin r, cos r) of an angle of up to SMALL, by Taylor's series: less than half of the work of `compute_sincos`."""
+    """Compute (sin r, cos r) of an angle of up to SMALL radians by Taylor's series, with less than half of the work of
+    `compute_sincos`."""
     z = angle * angle
     s = -1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 - z * (1.0 / 39916800.0))))
     c = 1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 - z * (1.0 / 3628800.0)))
@@ -43,6 +44,6 @@ def compute_sincos_of_small_angle(angle):
 
 
 @hot
-def add_angles(s, c, by_s, by_c):
+def add_angles(sin_a, cos_a, sin_b, cos_b):
     """Return sine and cosine of the sum of two angles, each given by its sine and cosine."""
-    return s * by_c + c * by_s, c * by_c - s * by_s
+    return sin_a * cos_b + cos_a * sin_b, cos_a * cos_b - sin_a * sin_b

@@ -46,17 +46,17 @@ def _find_next_pulse_time(times, ends, cursor):
 
 
 @exported("f8", *[array_of(t) for t in ("f8", "i1", "i8", "i8", "f8", "f8", "i8", "f8")])
-def _find_worst_deviation(times, signs, starts, ends, line, at, cursor, when):
+def _find_worst_deviation(times, signs, starts, ends, line, counts, cursor, worst_time):
     """Return the largest distance of the pulse counts from the line, and write its time to when[0].
 
-    The pulses of axis k are times[starts[k]:ends[k]]. Pulses at the same time count as one step. `at` (zeros) and `cursor` (a copy
-    of `starts`) are work arrays.
+    The pulses of axis k are times[starts[k]:ends[k]]. Pulses at the same time count as one step. `counts` (zeros) and `cursor` (a
+    copy of `starts`) are work arrays.
     """
     n = len(line)
     length2 = 0.0
     for k in range(n):
         length2 += line[k] * line[k]
-    worst = when[0] = 0.0
+    worst = worst_time[0] = 0.0
     while True:
         t = _find_next_pulse_time(times, ends, cursor)
         if t == np.inf:
@@ -64,15 +64,15 @@ def _find_worst_deviation(times, signs, starts, ends, line, at, cursor, when):
         dot = 0.0
         for k in range(n):
             while cursor[k] < ends[k] and times[cursor[k]] == t:
-                at[k] += signs[cursor[k]]
+                counts[k] += signs[cursor[k]]
                 cursor[k] += 1
-            dot += at[k] * line[k]
+            dot += counts[k] * line[k]
         along = min(max(dot / length2, 0.0), 1.0) if length2 else 0.0
         d2 = 0.0
         for k in range(n):
-            d2 += (at[k] - along * line[k]) ** 2
+            d2 += (counts[k] - along * line[k]) ** 2
         if d2 > worst + ROUNDING_TOLERANCE * (1.0 + worst):
-            worst, when[0] = d2, t
+            worst, worst_time[0] = d2, t
     return np.sqrt(worst)
 
 

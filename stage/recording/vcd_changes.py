@@ -19,7 +19,7 @@ COMMENT, END = tuple(b"$comment"), tuple(b"$end")
 
 @hot
 def hash_identifier(text, begin, end):
-    """Return a number for the identifier code of a signal, text[begin:end]."""
+    """Return a number that stands for the identifier code text[begin:end] of a signal."""
     code = 0
     for k in range(begin, end):
         code = (code * 95 + int(text[k]) - SPACE) % HASH_SPACE
@@ -27,17 +27,19 @@ def hash_identifier(text, begin, end):
 
 
 @hot
-def _skip_spaces(text, k):
-    while k < len(text) and text[k] <= SPACE:
-        k += 1
-    return k
+def _skip_spaces(text, position):
+    """Return the position of the first byte from `position` on that is no space."""
+    while position < len(text) and text[position] <= SPACE:
+        position += 1
+    return position
 
 
 @hot
-def _find_word_end(text, k):
-    while k < len(text) and text[k] > SPACE:
-        k += 1
-    return k
+def _find_word_end(text, position):
+    """Return the position after the word that begins at `position`."""
+    while position < len(text) and text[position] > SPACE:
+        position += 1
+    return position
 
 
 @hot
@@ -68,9 +70,9 @@ def _parse_time(text, begin, end):
 
 
 @hot
-def _find_level(c):
-    """Return the level that a character stands for; -1 for an unknown one, at which a line keeps its level."""
-    return 0 if c in LOW else 1 if c in HIGH else -1
+def _to_level(character):
+    """Return the level that a character stands for; -1 for an unknown level (x, z), at which a line keeps its level."""
+    return 0 if character in LOW else 1 if character in HIGH else -1
 
 
 @hot
@@ -80,13 +82,13 @@ def _find_bit_level(text, begin, end, bit):
         return -1
     k = end - 1 - bit
     if k >= begin:
-        return _find_level(int(text[k]))
-    return 0 if _find_level(int(text[begin])) >= 0 else -1
+        return _to_level(int(text[k]))
+    return 0 if _to_level(int(text[begin])) >= 0 else -1
 
 
 @hot
 def _skip_command(text, begin, end):
-    """Return the end of a command such as $dumpvars; of a comment that of its $end."""
+    """Return the end of a command such as $dumpvars; for $comment, the position after its $end."""
     if not _is_word(text, begin, end, COMMENT):
         return end
     while begin < end and not _is_word(text, begin, end, END):
@@ -96,34 +98,34 @@ def _skip_command(text, begin, end):
 
 
 @exported(None, array_of("u1"), "i8", array_of("i8"), array_of("i8"), array_of(CHANGE), SUMMARY)
-def decode_changes(text, k, codes, bits, out, s):
+def decode_changes(text, position, codes, bits, out, summary):
     """Decode the changes of some signals into `out`, as many as fit, and count all of them.
 
     Args:
         text: The file.
-        k: Place of the first byte after its declarations.
+        position: Place of the first byte after its declarations.
         codes: `hash_identifier` of each signal.
         bits: Bit of each signal, 0 for the last of its value.
         out: CHANGE records, or none.
-        s: SUMMARY, filled.
+        summary: SUMMARY, filled.
     """
-    s.begin, s.end, s.n, s.wrong = -1, -1, 0, -1
-    k = _skip_spaces(text, k)
-    while k < len(text):
-        end, c = _find_word_end(text, k), int(text[k])
-        begin = k + 1
+    summary.begin, summary.end, summary.n, summary.wrong = -1, -1, 0, -1
+    position = _skip_spaces(text, position)
+    while position < len(text):
+        end, c = _find_word_end(text, position), int(text[position])
+        begin = position + 1
         if c == HASH:
             time = _parse_time(text, begin, end)
-            if time < 0 or time < s.end:
-                s.wrong = k
+            if time < 0 or time < summary.end:
+                summary.wrong = position
                 return
-            s.begin = time if s.begin < 0 else s.begin
-            s.end = time
+            summary.begin = time if summary.begin < 0 else summary.begin
+            summary.end = time
         elif c == DOLLAR:
-            end = _skip_command(text, k, end)
+            end = _skip_command(text, position, end)
         elif c in SCALARS or c in VECTORS:
-            s.begin = max(s.begin, 0)  # levels before the first time are those of time 0
-            value, value_end = k, begin
+            summary.begin = max(summary.begin, 0)  # levels before the first time are those of time 0
+            value, value_end = position, begin
             if c in VECTORS:
                 value, value_end = begin, end
                 begin = _skip_spaces(text, end)
@@ -132,10 +134,14 @@ def decode_changes(text, k, codes, bits, out, s):
             for i in range(len(codes)):
                 level = _find_bit_level(text, value, value_end, bits[i]) if codes[i] == code else -1
                 if level >= 0:
-                    if s.n < len(out):
-                        out[s.n].time, out[s.n].signal, out[s.n].level = s.end if s.end > 0 else 0, i, level
-                    s.n += 1
+                    if summary.n < len(out):
+                        out[summary.n].time, out[summary.n].signal, out[summary.n].level = (
+                            summary.end if summary.end > 0 else 0,
+                            i,
+                            level,
+                        )
+                    summary.n += 1
         else:
-            s.wrong = k
+            summary.wrong = position
             return
-        k = _skip_spaces(text, end)
+        position = _skip_spaces(text, end)

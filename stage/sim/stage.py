@@ -140,7 +140,7 @@ class Stage:
         self._mechanics = compute_mechanics_digest(self.model)
         self._build_state(chip_axes, drives, bus, offset)
         for k, d in enumerate(drives):
-            d.fill(self.state.drives[k])
+            d.fill_record(self.state.drives[k])
         mujoco_callbacks.forward_guarded(self.model, self.data)
         integration_checks.check_dampers(self.model, self._plant, drives)
         integration_checks.check_step_length(self.model, self.data, self._plant, drives)

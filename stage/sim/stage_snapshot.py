@@ -64,7 +64,7 @@ def describe_stage(
         parts.append((f"chip of axis {a.name}", f"{chip}, its axis {a.chip_axis}"))
     for a in axes:
         constants = np.zeros(1, DRIVE)
-        a.drive.fill(constants[0])
+        a.drive.fill_record(constants[0])
         parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_digest(constants.tobytes())})"))
     parts += [(f"encoder of axis {e.axis}", str(e)) for e in encoders]
     for a in axes:

@@ -12,10 +12,10 @@ from support.examples import FIXED, SEED
 from stage.drives.dynamometer import (
     SLICE_S,
     compute_closed_form,
-    compute_joint_bound,
     compute_load_angle,
     compute_mean_counts,
     compute_natural_frequency,
+    compute_voltage_and_current_bound,
     count_lost_steps,
     count_slices,
     count_steps_lost_in_start,
@@ -54,13 +54,13 @@ def test_and_so_it_does_all_along_the_corner():
 
 
 def test_beyond_its_no_load_speed_a_motor_has_no_torque():
-    assert compute_joint_bound(MOTOR, 0.5, 1.7, np.array([3e3, 1e6])).tolist() == [0.0, 0.0]
+    assert compute_voltage_and_current_bound(MOTOR, 0.5, 1.7, np.array([3e3, 1e6])).tolist() == [0.0, 0.0]
 
 
 def test_a_chopper_lies_between_what_a_sine_bound_by_both_limits_reaches_and_the_closed_form_at_4_over_pi_v():
     rpm = np.r_[100, 300, CORNER, 1200:2401:400]
     simulated = simulate_pull_out(SMOOTH, rpm)
-    assert (simulated > 0.99 * compute_joint_bound(MOTOR, 24, 1.7, rpm)).all()
+    assert (simulated > 0.99 * compute_voltage_and_current_bound(MOTOR, 24, 1.7, rpm)).all()
     assert (simulated < 1.01 * compute_closed_form(MOTOR, 4 / math.pi * 24, 1.7, rpm)).all()
 
 
@@ -81,7 +81,7 @@ def test_no_sine_within_both_limits_beats_the_bound_and_one_reaches_it():
     rpm = np.array([100.0, 700, 880, 900, 1000, 1300, 2400])
     angle, size = np.meshgrid(np.linspace(-math.pi, math.pi, 2001), np.linspace(0, 1.7, 401))
     current = size * np.exp(1j * angle)
-    for speed, bound in zip(rpm, compute_joint_bound(MOTOR, 24, 1.7, rpm), strict=True):
+    for speed, bound in zip(rpm, compute_voltage_and_current_bound(MOTOR, 24, 1.7, rpm), strict=True):
         w = speed * 2 * math.pi / 60
         voltage = (MOTOR.resistance + 50j * w * MOTOR.inductance) * current + MOTOR.torque_constant * w
         best = MOTOR.torque_constant * current.real[abs(voltage) <= 24].max()

@@ -15,8 +15,8 @@ from stage.chips import PCL240K
 from stage.drives import stepper
 from stage.drives.dynamometer import (
     compute_closed_form,
-    compute_joint_bound,
     compute_mean_counts,
+    compute_voltage_and_current_bound,
     count_slices,
     simulate_motor,
     simulate_pull_out,
@@ -48,7 +48,7 @@ def test_current_lost_in_each_phase_brakes_like_a_constant_damping_at_any_angle(
         assert block == pytest.approx(KM * (ib * c - ia * s) - LOSSY.core_loss_damping * speed, rel=1e-12)
 
 
-@pytest.mark.parametrize("curve", [compute_closed_form, compute_joint_bound])
+@pytest.mark.parametrize("curve", [compute_closed_form, compute_voltage_and_current_bound])
 def test_closed_forms_are_less_by_the_loss_and_never_negative(curve):
     lossless, lossy = curve(LOSSLESS, 24, 2.0, RPM), curve(LOSSY, 24, 2.0, RPM)
     assert lossy == pytest.approx(np.maximum(lossless - DAMPING * W, 0), rel=1e-12)
@@ -129,7 +129,7 @@ def test_the_windows_of_a_stage_have_the_pull_out_torque_of_an_independent_solve
     drive = Drive(LOSSY, microsteps=64, mode=mode)
     for lead in np.linspace(1.4, 3.8, 13):
         rows = np.zeros(1, stepper.DRIVE)
-        drive.fill(rows[0])
+        drive.fill_record(rows[0])
         torques = []
         for k in range(64):
             middle = speed * 8 * slice_s * (k + 0.5)

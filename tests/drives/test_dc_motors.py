@@ -16,7 +16,7 @@ EVERY = pytest.mark.parametrize("name", DC_MOTORS)
 
 def filled(servo=None):
     rows = np.zeros(1, drive_dispatch.DRIVE)
-    (servo or Servo()).fill(rows[0])
+    (servo or Servo()).fill_record(rows[0])
     return rows[0]
 
 
@@ -69,7 +69,7 @@ def test_the_current_is_what_is_left_of_the_voltage_over_the_resistance(name):
 
 def test_a_stepper_has_no_terminal_voltage_and_its_effort_is_its_torque():
     rows = np.zeros(1, drive_dispatch.DRIVE)
-    Drive().fill(rows[0])
+    Drive().fill_record(rows[0])
     assert drive_dispatch.compute_voltage(rows[0], 0.2) == 0.0
     assert drive_dispatch.compute_torque(rows[0], 0.2) == 0.2
 

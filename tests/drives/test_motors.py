@@ -75,7 +75,7 @@ def test_the_table_has_all_motors():
 def test_a_drive_fills_every_parameter_of_its_record_and_leaves_its_state():
     rows = np.full(1, 7, stepper.DRIVE)
     drive = Drive("SS2422-5041", microsteps=8, bus_voltage=36, current=0.7, mode="sine", detent=0.001)
-    drive.fill(rows[0])
+    drive.fill_record(rows[0])
     d, m = rows[0], drive.motor
     assert (d.resistance, d.inductance, d.teeth) == (m.resistance, m.inductance, 50)
     assert (d.torque_constant, d.voltage, d.current, d.detent) == (m.torque_constant, 36, 0.7, 0.001)

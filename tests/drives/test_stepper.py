@@ -25,7 +25,7 @@ RATED = MOTOR.torque_constant * MOTOR.rated_current  # N m
 
 def record(drive):
     rows = np.zeros(1, stepper.DRIVE)
-    drive.fill(rows[0])
+    drive.fill_record(rows[0])
     stepper.power_up(rows[0], 0.0, 0.0)
     return rows[0]
 

@@ -1,8 +1,9 @@
-"""A preset move in closed form: how many pulses a row of registers has made by any time, as a fraction. Compiled.
+"""A preset move in closed form: the number of pulses, as a fraction, that a row of registers has made at any time. Compiled.
 
-An axis' registers are a row: R0 to R7, and on a chip with S-curves R14 and R15 after them. R6 in it is always the pulses left
-when the ramp-down begins. Its course `c` holds what follows: ticks to the ramp-down, speed and phase there, ticks to the last
-pulse.
+The registers of an axis are a row: R0 to R7, and on a chip with S-curves also R14 and R15. R6 in a row is always the number of
+    pulses
+left when the ramp-down begins. The *motion* of a row has what follows from the row: ticks to the ramp-down, speed and phase there,
+ticks to the last pulse. The phase is the sum of the speeds over the ticks; 8192 R7 of it make a pulse.
 """
 
 from __future__ import annotations
@@ -19,7 +20,15 @@ TICK_TOLERANCE = 1e-2
 
 @hot
 def _count_speed_steps(target, unit, first, sign, max_steps):
-    """Return the speed steps completed before a ramp of `unit` ticks per step, from speed `first` on, has gained `target` phase."""
+    """Return the number of speed steps completed before a ramp has gained `target` phase.
+
+    Args:
+        target: Phase.
+        unit: Ticks per speed step.
+        first: Speed at the begin of the ramp, speed steps.
+        sign: 1 for a ramp up, -1 for a ramp down.
+        max_steps: Number of speed steps of the whole ramp.
+    """
     b = first - 0.5 * sign
     root = b * b + 2.0 * sign * (target / unit)
     j = max_steps if root < 0 else min(max_steps, max(0, int((np.sqrt(root) - b) * sign)))
@@ -32,16 +41,19 @@ def _count_speed_steps(target, unit, first, sign, max_steps):
 
 @hot
 def _find_ticks_to_phase(target, unit, first, sign, max_steps):
-    """Return the ticks after which a ramp that goes on at its last speed has gained `target` phase."""
+    """Return the ticks after which a ramp has gained `target` phase; after its last step the ramp continues at constant speed.
+
+    The arguments are those of `_count_speed_steps`.
+    """
     j = _count_speed_steps(target, unit, first, sign, max_steps)
     gained = unit * (first * j + sign * (j * (j - 1) // 2))
     return j * unit - (gained - target) // (first + sign * j)
 
 
 @hot
-def has_s_curve_ramps(r):
+def has_s_curve_ramps(row):
     """Return whether the row's ramps are S-curves."""
-    return len(r) > 8 and not r[8] & LINEAR
+    return len(row) > 8 and not row[8] & LINEAR
 
 
 @hot
@@ -52,58 +64,73 @@ def compute_double_span(r14, steps):
 
 
 @hot
-def set_s_curve_registers(r, share):
-    """Set R14 and R15 for ramps from R1 to R2, where the chip has them: `share` of the steps in each curved end, up and down
-    alike, 0 for linear ramps, 0.5 for no linear part. Without FH correction: FH is the plan's."""
-    if len(r) <= 8:
-        return
-    steps = r[2] - r[1]
-    r[9] = max(1, int(np.rint(share * steps))) if 0.0 < share < 0.5 else 0
-    r[8] = UNCORRECTED | (LINEAR if share == 0.0 else r[9])
+def set_s_curve_registers(row, share):
+    """Set R14 and R15 of a row for ramps from R1 to R2, if the chip has these registers; without FH correction.
 
-
-@hot
-def compute_ramp_stretch(r):
-    """Return the factor by which the row's ramps last longer, and lose more, than linear ones at the same rate register: 1/2 to
-    1."""
-    steps = r[2] - r[1]
-    return 0.5 + 0.5 * compute_double_span(r[8], steps) / steps if has_s_curve_ramps(r) and steps > 0 else 1.0
-
-
-@hot
-def compute_ramp_ticks(r, rate):
-    """Return the ticks of a whole ramp with R4 or R5 = `rate`."""
-    steps = r[2] - r[1]
-    return 0.5 * (steps + compute_double_span(r[8], steps)) * rate if has_s_curve_ramps(r) else 1.0 * steps * rate
-
-
-@hot
-def _sum_square_roots(n):
-    """Return 1 + sqrt 2 + ... + sqrt n, to a thousandth (Euler and Maclaurin)."""
-    return np.sqrt(n) * (n / 1.5 + 0.5 + 1.0 / (24.0 * n)) - ZETA if n > 0 else 0.0
-
-
-@hot
-def _compute_mean_step_delay(a, rate):
-    """Return the mean of what a and a + 2 rate lack to a multiple of 4, in quarters."""
-    return 0.125 * (-a % 4 + -(a + 2 * rate) % 4)
-
-
-@hot
-def _compute_ramp_progress(steps, double, rate, t):
-    """Return (speed steps taken, phase they have gained) `t` ticks after an S-curve ramp began. double: twice the span.
-
-    The chip takes the k-th step at the first whole tick from t(k) on, see stage/chips/pcl240/ramp.py; where t(k) is a root, that
-    is half a tick later in the mean.
+    Args:
+        row: Row of registers.
+        share: Fraction of the speed steps in each curved end: 0 for linear ramps, 0.5 for no linear part.
     """
-    span, total, x = 0.5 * double, 0.5 * (steps + double), t / rate
-    a, b = double // 2, steps - (double + 1) // 2  # the last step of the first curved end, and of the linear part
-    delay = _compute_mean_step_delay(rate * double, rate) if b > a else 0.0
+    if len(row) <= 8:
+        return
+    steps = row[2] - row[1]
+    row[9] = max(1, int(np.rint(share * steps))) if 0.0 < share < 0.5 else 0
+    row[8] = UNCORRECTED | (LINEAR if share == 0.0 else row[9])
+
+
+@hot
+def compute_ramp_stretch(row):
+    """Return how much longer the row's ramps are, and how many more pulses they lose, than linear ones at the same R4: 1/2 to 1."""
+    steps = row[2] - row[1]
+    return 0.5 + 0.5 * compute_double_span(row[8], steps) / steps if has_s_curve_ramps(row) and steps > 0 else 1.0
+
+
+@hot
+def compute_ramp_ticks(row, rate):
+    """Return the ticks of a whole ramp with R4 or R5 = `rate`."""
+    steps = row[2] - row[1]
+    return 0.5 * (steps + compute_double_span(row[8], steps)) * rate if has_s_curve_ramps(row) else 1.0 * steps * rate
+
+
+@hot
+def _sum_square_roots(count):
+    """Return 1 + sqrt 2 + ... + sqrt n, to a thousandth (Euler and Maclaurin)."""
+    return np.sqrt(count) * (count / 1.5 + 0.5 + 1.0 / (24.0 * count)) - ZETA if count > 0 else 0.0
+
+
+@hot
+def _compute_mean_step_delay(ticks, rate):
+    """Return the mean of the ticks by which `ticks` and `ticks` + 2 rate fall short of a multiple of 4, in quarter ticks."""
+    return 0.125 * (-ticks % 4 + -(ticks + 2 * rate) % 4)
+
+
+@hot
+def _compute_ramp_progress(steps, double_span, rate, ticks):
+    """Compute the progress of an S-curve ramp, `ticks` after its begin.
+
+    The chip takes the k-th step at the first whole tick from t(k) on, see stage/chips/pcl240/ramp.py. If t(k) is a square root,
+    that is half a tick later on average.
+
+    Args:
+        steps: Speed steps of the ramp.
+        double_span: Twice the speed steps of a curved end.
+        rate: R4 or R5.
+        ticks: Ticks since the begin of the ramp.
+
+    Returns:
+        Speed steps taken, and the phase that they have gained.
+    """
+    span, total, x = 0.5 * double_span, 0.5 * (steps + double_span), ticks / rate
+    a, b = (
+        double_span // 2,
+        steps - (double_span + 1) // 2,
+    )  # the last step of the first curved end, and of the linear part
+    delay = _compute_mean_step_delay(rate * double_span, rate) if b > a else 0.0
     if x >= total:
-        return steps, steps * t - 0.5 * rate * total * (steps + 1) - 0.5 * (a + steps - b) - delay * (b - a)
+        return steps, steps * ticks - 0.5 * rate * total * (steps + 1) - 0.5 * (a + steps - b) - delay * (b - a)
     if x <= span:
         j = int(x * x / span)
-        return j, j * t - rate * np.sqrt(span) * _sum_square_roots(j) - 0.5 * j
+        return j, j * ticks - rate * np.sqrt(span) * _sum_square_roots(j) - 0.5 * j
     sums = rate * np.sqrt(span) * _sum_square_roots(a) + 0.5 * a
     j = min(max(int(2.0 * x - span), a), b)
     if x > 0.5 * steps:
@@ -113,114 +140,131 @@ def _compute_ramp_progress(steps, double, rate, t):
     if j > b:
         left = _sum_square_roots(steps - b - 1) - _sum_square_roots(steps - j - 1)
         sums += (j - b) * (rate * total + 0.5) - rate * np.sqrt(span) * left
-    return j, j * t - sums
+    return j, j * ticks - sums
 
 
 @hot
-def _compute_s_curve_state(fl, fh, r14, up, down, c0, c1, c2, t):
-    """Return (speed, phase) of S-curve ramps `t` ticks after the start.
+def _compute_s_curve_state(fl, fh, r14, up, down, ramp_down_tick, ramp_down_speed, ramp_down_phase, ticks):
+    """Compute the speed and the phase of a move with S-curve ramps, `ticks` after its start.
 
-    The arguments are scalars of a row and its motion: arrays are slow to pass.
+    The arguments are single values of a row and its motion, because passing arrays is slow.
     """
-    rising = t <= c0
-    steps = fh - fl if rising else c1 - fl
-    u = 1.0 * t if rising else 1.0 * (t - c0)
+    rising = ticks <= ramp_down_tick
+    steps = fh - fl if rising else ramp_down_speed - fl
+    u = 1.0 * ticks if rising else 1.0 * (ticks - ramp_down_tick)
     if steps <= 0:
-        return fl, c2 + u * fl
+        return fl, ramp_down_phase + u * fl
     rate = up if rising else down
-    double = compute_double_span(r14, steps)
-    j, gained = _compute_ramp_progress(steps, double, rate, u)
+    double_span = compute_double_span(r14, steps)
+    j, gained = _compute_ramp_progress(steps, double_span, rate, u)
     if rising:
         return fl + j, u * fl + gained
-    gained -= max(0.0, u - 0.5 * (steps + double) * rate)  # the mirror image: its first step at once, each one earlier
-    return c1 - 1 - min(j, steps - 1), c2 + u * (c1 - 1) - gained
+    gained -= max(
+        0.0, u - 0.5 * (steps + double_span) * rate
+    )  # the mirror image: its first step at once, each one earlier
+    return ramp_down_speed - 1 - min(j, steps - 1), ramp_down_phase + u * (ramp_down_speed - 1) - gained
 
 
 @hot
-def _find_tick_at_phase(r, c, target, t):
-    """Return the tick at which S-curve ramps have gained `target` phase: by Newton from `t` on, which is on the steep side of
-    it."""
+def _find_tick_at_phase(row, motion, target, tick):
+    """Return the tick at which a move with S-curve ramps has gained `target` phase.
+
+    Newton's method starts at `tick`, which must be on the steep side of the result.
+    """
     for _ in range(60):
-        speed, gained = _compute_s_curve_state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)
+        speed, gained = _compute_s_curve_state(
+            row[1], row[2], row[8], row[4], row[5], motion[0], motion[1], motion[2], tick
+        )
         step = (target - gained) / speed
-        t += step
+        tick += step
         if abs(step) < TICK_TOLERANCE:
             break
-    return int(np.ceil(t - TICK_TOLERANCE))
+    return int(np.ceil(tick - TICK_TOLERANCE))
 
 
 @hot
-def _fill_curved_motion(r, c):
-    """Fill `c` as `fill_motion` does, for S-curves: to about a tick."""
-    d, fl, fh, m = r[0], r[1], r[2], 8192 * r[7]
-    if fh > fl and r[6] > 0:
-        point = (d - r[6] + 1) * m
-        c[0] = 0 if r[6] > d else _find_tick_at_phase(r, c, point, point / fl)
-        c[1] = _compute_s_curve_state(fl, fh, r[8], r[4], r[5], c[0], fh, 0, max(c[0] - 1.0, 0.0))[0]
-        c[2] = int(compute_phase(r, c, 1.0 * c[0]))
-    if c[0] == NEVER_TICKS or d * m <= c[2]:
-        c[3] = _find_tick_at_phase(r, c, d * m, d * m / fl)
+def _fill_curved_motion(row, motion):
+    """Fill the motion of a row with S-curve ramps as `fill_motion` does, exact to about a tick."""
+    d, fl, fh, m = row[0], row[1], row[2], 8192 * row[7]
+    if fh > fl and row[6] > 0:
+        point = (d - row[6] + 1) * m
+        motion[0] = 0 if row[6] > d else _find_tick_at_phase(row, motion, point, point / fl)
+        motion[1] = _compute_s_curve_state(fl, fh, row[8], row[4], row[5], motion[0], fh, 0, max(motion[0] - 1.0, 0.0))[
+            0
+        ]
+        motion[2] = int(compute_phase(row, motion, 1.0 * motion[0]))
+    if motion[0] == NEVER_TICKS or d * m <= motion[2]:
+        motion[3] = _find_tick_at_phase(row, motion, d * m, d * m / fl)
     else:
-        c[3] = _find_tick_at_phase(r, c, d * m, c[0] + 1.0)
+        motion[3] = _find_tick_at_phase(row, motion, d * m, motion[0] + 1.0)
 
 
 @exported(None, array_of("i8"), array_of("i8"))
-def fill_motion(r, c):
-    """Fill `c` from the row `r`: ticks to the ramp-down, speed and phase there, ticks to the last pulse."""
-    d, fl, fh, up, down, m = r[0], r[1], r[2], r[4], r[5], 8192 * r[7]
-    c[0], c[1], c[2] = NEVER_TICKS, fh, 0
-    if has_s_curve_ramps(r):
-        _fill_curved_motion(r, c)
+def fill_motion(row, motion):
+    """Compute the motion of a row: ticks to the ramp-down, speed and phase there, ticks to the last pulse.
+
+    Args:
+        row: Row of registers.
+        motion: Array of four numbers, filled.
+    """
+    d, fl, fh, up, down, m = row[0], row[1], row[2], row[4], row[5], 8192 * row[7]
+    motion[0], motion[1], motion[2] = NEVER_TICKS, fh, 0
+    if has_s_curve_ramps(row):
+        _fill_curved_motion(row, motion)
         return
-    if fh > fl and r[6] > 0:
-        c[0] = 0 if r[6] > d else _find_ticks_to_phase((d - r[6] + 1) * m, up, fl, 1, fh - fl)
-        c[1] = fl + min(fh - fl, max(c[0] - 1, 0) // up)
-        c[2] = int(compute_phase(r, c, c[0]))
-    if c[0] == NEVER_TICKS or d * m <= c[2]:
-        c[3] = _find_ticks_to_phase(d * m, up, fl, 1, fh - fl)
-    elif c[1] <= fl:
-        c[3] = c[0] - (c[2] - d * m) // fl
+    if fh > fl and row[6] > 0:
+        motion[0] = 0 if row[6] > d else _find_ticks_to_phase((d - row[6] + 1) * m, up, fl, 1, fh - fl)
+        motion[1] = fl + min(fh - fl, max(motion[0] - 1, 0) // up)
+        motion[2] = int(compute_phase(row, motion, motion[0]))
+    if motion[0] == NEVER_TICKS or d * m <= motion[2]:
+        motion[3] = _find_ticks_to_phase(d * m, up, fl, 1, fh - fl)
+    elif motion[1] <= fl:
+        motion[3] = motion[0] - (motion[2] - d * m) // fl
     else:
-        c[3] = c[0] + _find_ticks_to_phase(d * m - c[2], down, c[1] - 1, -1, c[1] - 1 - fl)
+        motion[3] = motion[0] + _find_ticks_to_phase(d * m - motion[2], down, motion[1] - 1, -1, motion[1] - 1 - fl)
 
 
 @hot
-def compute_linear_phase(r, c, t):
+def compute_linear_phase(row, motion, ticks):
     """Return `compute_phase` of linear ramps."""
-    if t <= c[0]:
-        j = min(r[2] - r[1], int(t / r[4]))
-        return r[4] * (r[1] * j + j * (j - 1) // 2) + (t - j * r[4]) * (r[1] + j)
-    u = t - c[0]
-    if c[1] <= r[1]:
-        return c[2] + u * r[1]
-    j = min(c[1] - 1 - r[1], int(u / r[5]))
-    return c[2] + r[5] * ((c[1] - 1) * j - j * (j - 1) // 2) + (u - j * r[5]) * (c[1] - 1 - j)
+    if ticks <= motion[0]:
+        j = min(row[2] - row[1], int(ticks / row[4]))
+        return row[4] * (row[1] * j + j * (j - 1) // 2) + (ticks - j * row[4]) * (row[1] + j)
+    u = ticks - motion[0]
+    if motion[1] <= row[1]:
+        return motion[2] + u * row[1]
+    j = min(motion[1] - 1 - row[1], int(u / row[5]))
+    return motion[2] + row[5] * ((motion[1] - 1) * j - j * (j - 1) // 2) + (u - j * row[5]) * (motion[1] - 1 - j)
 
 
 @hot
-def compute_s_curve_phase(r, c, t):
+def compute_s_curve_phase(row, motion, ticks):
     """Return `compute_phase` of S-curves."""
-    return _compute_s_curve_state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)[1]
+    return _compute_s_curve_state(row[1], row[2], row[8], row[4], row[5], motion[0], motion[1], motion[2], ticks)[1]
 
 
 @hot
-def compute_phase(r, c, t):
-    """Return the phase gained `t` ticks after the start (a fraction between ticks); 8192 R7 make a pulse."""
-    return compute_s_curve_phase(r, c, t) if has_s_curve_ramps(r) else compute_linear_phase(r, c, t)
-
-
-@hot
-def count_pulses(r, c, t):
-    """Return N: pulses made `t` ticks after the start, as a fraction."""
-    return compute_phase(r, c, max(t, 0.0)) / (8192.0 * r[7])
-
-
-@hot
-def find_first_pulse_tick(r, c):
-    """Return the ticks to the first pulse; c[0] may be NEVER."""
-    m = 8192 * r[7]
+def compute_phase(row, motion, ticks):
+    """Return the phase that a move has gained `ticks` after its start, at a fraction of a tick too."""
     return (
-        _find_tick_at_phase(r, c, m, m / r[1])
-        if has_s_curve_ramps(r)
-        else _find_ticks_to_phase(m, r[4], r[1], 1, r[2] - r[1])
+        compute_s_curve_phase(row, motion, ticks)
+        if has_s_curve_ramps(row)
+        else compute_linear_phase(row, motion, ticks)
+    )
+
+
+@hot
+def count_pulses(row, motion, ticks):
+    """Return the number of pulses, as a fraction, that a move has made `ticks` after its start."""
+    return compute_phase(row, motion, max(ticks, 0.0)) / (8192.0 * row[7])
+
+
+@hot
+def find_first_pulse_tick(row, motion):
+    """Return the ticks to the first pulse. The ramp-down of `motion` may be NEVER_TICKS."""
+    m = 8192 * row[7]
+    return (
+        _find_tick_at_phase(row, motion, m, m / row[1])
+        if has_s_curve_ramps(row)
+        else _find_ticks_to_phase(m, row[4], row[1], 1, row[2] - row[1])
     )
