@@ -48,7 +48,7 @@ _D = TypeVar("_D", bound=Device)
 
 
 class Board:
-    """A bus with the chips of `stage` on it. One board a stage.
+    """Bus of a host with the chips of a stage on it. A stage has one board.
 
     Args:
         stage: A Stage.
@@ -56,18 +56,19 @@ class Board:
         base: The first port of the first chip, or a mapping axis -> first port of its chip; default: the layout's.
         stride: Ports from one chip to the next; default: the layout's.
         keep_cycles: Lines of the bus trace that are kept.
-        devices: Devices on the bus, as text: "hctl2016:0x320:x", see device_texts; or later, by `put` and `device`.
+        devices: Devices on the bus, as text: "hctl2016:0x320:x", see device_options. `add_device` and `attach_device` add more
+            later.
 
     Attributes:
-        options: The arguments except stage and devices, by name.
+        options: Arguments of the constructor except stage and devices, by name.
         places: The chips and their layouts.
-        devices: In the order in which they were put on the bus.
-        regions, port_table: REGION and PORT records: what every port reaches.
+        devices: Devices in the order in which they were put on the bus.
+        regions, port_table: REGION and PORT records, which say what every port reaches.
         trace: The BusTrace.
-        log: Lines that the firmware noted, (seconds, text).
+        log: Lines that the firmware has logged, (seconds, text).
         driver: The firmware, a NativeHost, that has begun and not returned, or None.
         link: The connection to compiled code, for runners of firmware.
-        serial: The serial line of its host, in memory.
+        serial: The serial line of the host, in memory.
 
     Raises:
         ArgumentError: A layout that does not fit the chips, ports that overlap or do not exist.
@@ -151,7 +152,7 @@ class Board:
 
     @explain_arguments
     def delay_us(self, us: int) -> None:
-        """Let time pass. After Ctrl-C time stands somewhere in the delay, and the board can be used as before.
+        """Let time pass. After Ctrl-C the time stands somewhere within the delay, and the board can be used as before.
 
         Args:
             us: Microseconds.
@@ -287,13 +288,13 @@ class Board:
 
         Args:
             device: The device.
-            ports: Its ports; the first is enough for a shipped one.
+            ports: Its ports; for a shipped device the first port is enough.
 
         Returns:
             The device.
 
         Raises:
-            ArgumentError, StageError: See `device`.
+            ArgumentError, StageError: See `add_device`.
         """
         if not isinstance(device, Device):
             raise ArgumentError(f"{device!r} is no device: stage.board.devices has them, for example UART().")
@@ -418,7 +419,7 @@ class Board:
             loop.time_refusal = before
 
     def _list_ports(self) -> list[tuple[int, Any]]:
-        """Return each port that reaches something, with its PORT record."""
+        """Return each port that reaches a chip or device, with its PORT record."""
         pairs = zip(layouts.list_port_numbers(self.regions).tolist(), self.port_table, strict=True)
         return [(port, p) for port, p in pairs if p["kind"]]
 

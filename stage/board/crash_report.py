@@ -1,4 +1,4 @@
-"""Explain in words where firmware crashed or where it computes, with source files and lines if addr2line finds them."""
+"""Explain in words where firmware has crashed or where it computes, with source files and lines if addr2line finds them."""
 
 from __future__ import annotations
 
@@ -76,16 +76,16 @@ def find_symbol(address: int) -> tuple[str, str, int]:
     return os.fsdecode(symbol.file or b""), os.fsdecode(symbol.name or b""), address - (symbol.base or 0)
 
 
-def format_note(text: str) -> bytes:
-    """Encode a text about the end of the process for `describe`; it serves where no signal describes the end."""
+def encode_crash_note(text: str) -> bytes:
+    """Encode a text about the end of the process for `describe_crash`. It is used if no signal describes the end."""
     return json.dumps(text).encode()
 
 
-def describe(note: bytes, *libraries: Path) -> str:
-    """Explain what happened and where, from the note of a crash; return "" if there is no note.
+def describe_crash(note: bytes, *libraries: Path) -> str:
+    """Explain what has happened and where, from the note of a crash; return "" if there is no note.
 
     Args:
-        note: JSON of a `Crash`, or the result of `format_note`.
+        note: JSON of a `Crash`, or the result of `encode_crash_note`.
         libraries: Paths of the firmware and of devices in C.
     """
     if not note:
@@ -136,7 +136,7 @@ def _describe_cause(crash: Crash, names: set[str]) -> str:
     return ""
 
 
-def locate(address: int, stack_top: int, *libraries: Path) -> str:
+def locate_code(address: int, stack_top: int, *libraries: Path) -> str:
     """Return the position of code in this process as `function (file:line)` of one of the libraries.
 
     For code outside of these libraries, return the symbol and, if the word on top of the stack is a return address, the

@@ -6,11 +6,11 @@ from stage.errors import RunTimeout, StageError
 
 
 class LibraryError(StageError):
-    """A file that cannot be loaded as a firmware library."""
+    """Error: a file cannot be loaded as a firmware library."""
 
 
 class CompileError(StageError):
-    """Error of a compiler that could not build the firmware.
+    """Error: a compiler could not build the firmware.
 
     Attributes:
         output: Messages of the compiler.
@@ -22,20 +22,20 @@ class CompileError(StageError):
 
 
 class CompilerWarning(UserWarning):
-    """A message of the compiler or linker about firmware that it has built."""
+    """Warning with a message of the compiler or linker about firmware that was built nevertheless."""
 
 
 class NoCompilerError(StageError):
-    """Error for a system without a C or C++ compiler."""
+    """Error: the system has no C or C++ compiler."""
 
 
 class StormError(StageError):
-    """Error for an interrupt hook that does not clear the interrupt that calls it."""
+    """Error: an interrupt hook does not clear the interrupt that calls it, so it would be called forever."""
 
 
 class HostError(StageError):
-    """Error of firmware that cannot continue."""
+    """Error: firmware cannot continue."""
 
 
 class HostTimeout(RunTimeout):
-    """Error of firmware that did not return within the simulated time or the number of bus cycles allowed."""
+    """Error: firmware did not return within the allowed simulated time or number of bus cycles."""

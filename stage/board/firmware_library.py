@@ -22,7 +22,7 @@ from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.firmware_pins import PIN_USE, find_findings, make_line_table
-from stage.board.temporary_folders import Scratch
+from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
 from stage.support.files import FileError, refuse_irregular
@@ -59,14 +59,14 @@ MACHINE_NAMES = {"x86_64": "x86-64", "AMD64": "x86-64", "arm64": "aarch64"}
 
 
 def _demangle(message: str) -> str:
-    """Write names of C++ functions as their source has them, where there is c++filt."""
+    """Replace mangled names of C++ functions in a message by readable ones, if c++filt is installed."""
     for name in dict.fromkeys(re.findall(r"\b_Z\w+", message)) if shutil.which("c++filt") else ():
         message = message.replace(name, run_program(["c++filt", name]).stdout.strip() or name)
     return message
 
 
 class BusStruct(ctypes.Structure):
-    """struct pulsestage_bus of pulsestage.h."""
+    """The struct pulsestage_bus of pulsestage.h, by which firmware makes its requests."""
 
     _fields_ = (("abi", ctypes.c_uint32), ("size", ctypes.c_uint32), ("host", ctypes.c_void_p), ("request", REQUEST))
 
@@ -87,7 +87,7 @@ def format_build_command(path: Any = "driver.so") -> str:
 
 
 def find_compiler(source: str | Path = "x.c") -> str:
-    """Return the compiler for a source: $CC or cc, of C++ $CXX or c++. Raises NoCompilerError."""
+    """Return the compiler for a source: $CC or cc for C, $CXX or c++ for C++. Raises NoCompilerError."""
     variable, usual = (
         ("CC", ("cc", "gcc", "clang")) if Path(source).suffix == ".c" else ("CXX", ("c++", "g++", "clang++"))
     )
@@ -109,13 +109,14 @@ def build(
 ) -> Path:
     """Build a firmware library from C or C++ sources.
 
-    C is compiled as C, also beside C++. What the compiler and linker say of a library that they have built is a CompilerWarning.
+    C sources are compiled as C, even together with C++ sources. Messages of the compiler or linker about a library that was built
+    become a CompilerWarning.
 
     Args:
         sources: One source, or a sequence.
-        output: The library; default: a file in a folder for temporary files.
-        flags: For the compiler, after -O2 -g and the sources, so that libraries can be among them.
-        platform: What the sources were written for, see stage.board.platforms.
+        output: Path of the library; default: a file in a folder for temporary files.
+        flags: Flags for the compiler, after -O2 -g and the sources, so that libraries can be among them.
+        platform: Platform for which the sources were written, see stage.board.platforms.
         metered: Whether the library counts its basic blocks, for NativeHost(cost=...).
 
     Returns:
@@ -124,8 +125,8 @@ def build(
     Raises:
         FileError: A source is missing.
         NoCompilerError: There is no compiler.
-        CompileError: A source does not compile, or a function is missing; with what the compiler or linker said.
-        ArgumentError: Nothing to build, or an output that is a source.
+        CompileError: A source does not compile, or a function is missing; with the messages of the compiler or linker.
+        ArgumentError: There is nothing to build, or the output is a source.
     """
     files = [Path(s) for s in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
     if not files:
@@ -154,12 +155,12 @@ def build(
         messages, objects = [], []
         for k, source in enumerate(recipe.c_files):
             objects.append(f"{folder}/{k}-{source.stem}.o")
-            command = [*find_compiler().split(), "-c", *common, *_flags_of_c(flags), str(source), "-o", objects[-1]]
+            command = [*find_compiler().split(), "-c", *common, *_select_c_flags(flags), str(source), "-o", objects[-1]]
             messages.append(_compile(source, command, target))
         name = find_compiler("x.cpp" if recipe.cplusplus else "x.c")
         command = [
             *name.split(), "-shared", *common, *BIND_FLAGS, *recipe.cplusplus_flags,
-            *(_flags_of_cplusplus(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()),
+            *(_list_cplusplus_flags(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()),
             *recipe.files, *objects, *flags, "-o", str(library),
         ]  # fmt: skip
         messages.append(_link(files, command, target))
@@ -180,8 +181,8 @@ def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platf
     """Compile and link a library, and return the messages.
 
     Raises:
-        CompileError: Also for a function that neither a source nor a library of this process has: the loader would name it without
-            the place that calls it.
+        CompileError: A source does not compile, or a function is missing that no library of this process has either. The loader
+            would report the function without the place that calls it.
     """
     has_failed, message = _run_compiler([*command, *LINK_FLAGS])
     absent = [name for name in _UNDEFINED.findall(message) if not _is_loaded(name)]
@@ -211,19 +212,19 @@ def _run_compiler(command: list[str]) -> tuple[bool, str]:
 
 
 def _is_loaded(symbol: str) -> bool:
-    """Tell whether a symbol that a library lacks is found when it is loaded: in this process, or in a sanitizer loaded first."""
+    """Return whether this process or a preloaded sanitizer has a symbol that a library lacks."""
     return bool(re.match("__(?:[a-z]{1,2}san_|sanitizer_)", symbol)) or hasattr(ctypes.CDLL(None), symbol)
 
 
 def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> bool:
-    """Tell whether a source in C includes a header of its platform that is C++ here."""
-    command = [*find_compiler().split(), "-E", *platform_flags, f"-I{include()}", *_flags_of_c(flags), str(source)]
+    """Return whether a C source includes a header of its platform that is written in C++ here."""
+    command = [*find_compiler().split(), "-E", *platform_flags, f"-I{include()}", *_select_c_flags(flags), str(source)]
     command += ["-o", f"{folder}/preprocessed"]
     return platforms.IS_CPLUSPLUS in run_program(command).stderr
 
 
-def _flags_of_c(flags: Sequence[str]) -> list[str]:
-    """Leave out flags that a compilation of one source in C does not take: files, libraries, and those about C++."""
+def _select_c_flags(flags: Sequence[str]) -> list[str]:
+    """Return the flags without those that the compilation of a single C source does not accept: files, libraries, and C++ flags."""
     return [
         flag
         for flag in flags
@@ -231,16 +232,16 @@ def _flags_of_c(flags: Sequence[str]) -> list[str]:
     ]
 
 
-def _flags_of_cplusplus(compiler: str, is_like_c: bool, flags: tuple[str, ...]) -> list[str]:
-    """Return flags that C++ needs.
+def _list_cplusplus_flags(compiler: str, is_like_c: bool, flags: tuple[str, ...]) -> list[str]:
+    """Return the flags that a compilation as C++ needs in addition.
 
     Args:
         compiler: The compiler.
-        is_like_c: Whether C is compiled as C++: then a loop without end, and a function without a return whose value nobody uses,
-            mean what they do in C.
+        is_like_c: Whether C is compiled as C++. An endless loop, and a function without a return whose value nobody uses, then keep
+            their meaning in C.
         flags: Flags of the user.
     """
-    selected = [*_flags_for_statics(compiler)]
+    selected = [*_list_flags_for_statics(compiler)]
     if is_like_c and not any(flag.startswith("-fsanitize") for flag in flags):
         selected += ["-fno-finite-loops"]
         if _GCC_FLAG in selected:  # these make it leave the end of such a function as it is, and need no library
@@ -251,14 +252,17 @@ def _flags_of_cplusplus(compiler: str, is_like_c: bool, flags: tuple[str, ...]) 
 
 
 @functools.cache
-def _flags_for_statics(compiler: str) -> tuple[str, ...]:
-    """Return the flag without which GCC shares static variables of inline functions and templates among all copies of a library
-    in a process, even of different runs. Other compilers do not share them, and do not know the flag."""
+def _list_flags_for_statics(compiler: str) -> tuple[str, ...]:
+    """Return the flag with which GCC gives every copy of a library its own static variables; empty for other compilers.
+
+    Without it, static variables of inline functions and templates are shared among all copies in a process, even of different runs.
+    """
     message = run_program([*compiler.split(), "--version"]).stdout
     return (_GCC_FLAG,) if "Free Software Foundation" in message else ()
 
 
 def _list_files(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
+    """Return a single path or a sequence of paths as a list."""
     files = [firmware] if isinstance(firmware, str | os.PathLike) else firmware
     if not (isinstance(files, Sequence) and files and all(isinstance(file, str | os.PathLike) for file in files)):
         raise ArgumentError(f"firmware={firmware!r}: give the path of a library or of a source, or a list of sources.")
@@ -266,7 +270,7 @@ def _list_files(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> li
 
 
 def are_sources(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> bool:
-    """Tell whether this is to be built first."""
+    """Return whether `firmware` consists of sources that must be built first."""
     return all(str(file).endswith(SOURCES) for file in _list_files(firmware))
 
 
@@ -277,17 +281,18 @@ def find_library(
     folder: Path | None = None,
     metered: bool = False,
 ) -> Path:
-    """Return the library that `firmware` is, or build it.
+    """Return the library that `firmware` names, or build it from sources.
 
     Args:
         firmware: A library, or sources.
-        flags: For the compiler.
-        platform: What sources were written for.
-        folder: Where a library is built.
-        metered: Whether it counts its basic blocks.
+        flags: Flags for the compiler.
+        platform: Platform for which the sources were written.
+        folder: Folder in which the library is built.
+        metered: Whether the library counts its basic blocks.
 
     Raises:
-        ArgumentError: More than one library, or a platform of one; and as `build` and `check_library`.
+        ArgumentError: There is more than one library, or a platform for a library; other errors are those of `build` and
+            `check_library`.
     """
     firmware_files = _list_files(firmware)
     if are_sources(firmware_files):
@@ -305,11 +310,11 @@ def find_library(
 
 
 def check_library(path: str | os.PathLike) -> Path:
-    """Return the path of a library for this machine.
+    """Check that a file is a library for this machine, and return its path.
 
     Raises:
         FileError: There is no such file.
-        LibraryError: It is no library, or one for another machine.
+        LibraryError: The file is no library, or one for another machine.
     """
     file = Path(path)
     if file.is_dir():
@@ -339,9 +344,9 @@ def check_library(path: str | os.PathLike) -> Path:
 
 
 def read_elf_head(head: bytes) -> tuple[int, int] | None:
-    """Read e_type and e_machine from the first 20 bytes of a file; None for no ELF file.
+    """Read e_type and e_machine from the first 20 bytes of a file; None if the file is no ELF file.
 
-    Firmware of this machine needs these two numbers only, which are no reason for a dependency on pyelftools.
+    These two numbers are all that is needed, so the project does not depend on pyelftools for them.
     """
     if head[:4] != b"\x7fELF" or len(head) < ELF_HEAD_SIZE:
         return None
@@ -350,13 +355,16 @@ def read_elf_head(head: bytes) -> tuple[int, int] | None:
 
 
 def _suggest_emulator(machine: int) -> str:
-    """Suggest to emulate a program of another machine, where that is possible."""
+    """Return a sentence that suggests emulation for a program of another machine, if it can be emulated; else ""."""
     mcu = {83: "atmega2560", 40: "cortex-m3"}.get(machine)
     return f" Or run it as it is, on an emulated processor: --mcu {mcu} (docs/targets.md)." if mcu else ""
 
 
 def list_sanitizers(path: str | os.PathLike) -> list[str]:
-    """Return the run-time libraries of sanitizers that a library was built with: they have to be loaded before all others."""
+    """Return the run-time libraries of the sanitizers with which a library was built.
+
+    They must be loaded before all other libraries.
+    """
     try:
         content = Path(path).read_bytes()
     except OSError:
@@ -365,14 +373,17 @@ def list_sanitizers(path: str | os.PathLike) -> list[str]:
 
 
 def _choose_load_mode(path: Path) -> int:
-    """Return how a library is loaded: its own symbols win, so that a `wait` or `pause` of the firmware is not the system's.
-    Sanitizers do not allow that."""
+    """Return the mode in which a library is loaded.
+
+    Normally its own symbols have priority, so that the firmware's `wait` or `pause` is not the system's. Sanitizers do not allow
+    that.
+    """
     deep = 0 if list_sanitizers(path) else getattr(os, "RTLD_DEEPBIND", 0)
     return deep | getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0)
 
 
 def _check_sanitizers(path: Path) -> None:
-    """Raise LibraryError where a sanitizer would end this process, since it was not loaded first."""
+    """Raise LibraryError if a sanitizer would end this process because it was not loaded first."""
     first = [name for name in list_sanitizers(path) if not name.startswith("libubsan")]
     if first and not any(hasattr(ctypes.CDLL(None), f"__{name[3:7]}_init") for name in first):
         raise LibraryError(
@@ -384,29 +395,29 @@ def _check_sanitizers(path: Path) -> None:
 class Library:
     """Firmware in a library of this machine, loaded by ctypes.
 
-    Each object has a copy of its own, so that its variables begin as they were compiled. The file of the copy stays until `close`:
-    debuggers look for symbols there.
+    Each object loads its own copy of the file, so that the variables have their initial values. The copy stays until `close`,
+    because debuggers look for symbols in it.
 
     Args:
         path: The library.
-        link: Link of the board to which its requests go.
-        cost: Picoseconds that each of its basic blocks takes; 0: it does not count them.
+        link: Link of the board that receives the requests.
+        cost: Picoseconds that each basic block takes; 0: basic blocks are not counted.
         lines: Lines of axes at its pins.
 
     Attributes:
         copy: The file that is loaded.
         handle: Handle of the loader.
-        bus: The struct by which it makes its requests.
+        bus: The struct by which the firmware makes its requests.
 
     Raises:
-        LibraryError: It cannot be loaded, is no firmware, or does not count its basic blocks.
+        LibraryError: The file cannot be loaded, is no firmware, or does not count its basic blocks.
     """
 
     def __init__(self, path: Path, link: Link, cost: int = 0, lines: Sequence[PinLine] = ()):
         self.path, self._link, self._cost, self._lines = path, link, cost, lines
         self._pin_use: np.ndarray | None = None
         _check_sanitizers(path)
-        self._scratch = Scratch()
+        self._scratch = TemporaryFolder()
         self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
         mode = set_usual_float_mode.c()
         try:
@@ -438,7 +449,7 @@ class Library:
         self._connect_lines()
 
     def main(self) -> int:
-        """Call its entry in this thread. Basic blocks that it runs while it is loaded and unloaded take no time."""
+        """Call the entry point in this thread. Basic blocks that run while the library is loaded and unloaded take no time."""
         h = self._link.record
         h["cost"], h["rest"] = self._cost, 0
         h["meter"] = self._set_meter(max(int(h["bus"]) * 1000 // self._cost, 1) if self._cost else NO_LIMIT)
@@ -447,7 +458,7 @@ class Library:
         return code
 
     def close(self) -> None:
-        """Unload it."""
+        """Unload the library."""
         if self._pin_use is not None:
             self._pin_use = self._pin_use.copy()  # for `find_wiring_findings`
         if platform.system() != "Windows":
@@ -457,7 +468,7 @@ class Library:
         self._scratch.close()
 
     def _set_meter(self, interval: int) -> int:
-        """Have the firmware make a request every `interval` basic blocks. Return where it counts them, or 0 if it need not."""
+        """Let the firmware make a request every `interval` basic blocks; return the address of its counter, or 0 if it has none."""
         if not self._cost:
             return 0
         try:
@@ -495,9 +506,10 @@ class Library:
             return ()
         return find_findings(self._table, self._lines, self._pin_use[0], self._link.stage)
 
-    def _find_variable(self, kind: Any, name: str) -> Any:
+    def _find_variable(self, c_type: Any, name: str) -> Any:
+        """Return an exported variable of the library. Raises LibraryError if it has none of this name."""
         try:
-            return kind.in_dll(self._library, name)
+            return c_type.in_dll(self._library, name)
         except ValueError:
             raise LibraryError(
                 f"{self.path} has no {name}: it was not built with pulsestage.h, so nobody knows whether its {ENTRY} is meant. "

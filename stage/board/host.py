@@ -26,7 +26,7 @@ from stage.board.host_record_link import UNBOUNDED
 from stage.board.pacing import RealTimePace
 from stage.board.pin_assignment import PinLine, WiringFinding
 from stage.board.serial_line import SerialPort
-from stage.board.temporary_folders import Scratch
+from stage.board.temporary_folders import TemporaryFolder
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
 from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
@@ -37,7 +37,7 @@ SHOWN_CYCLES = 12  # lines of the trace in messages
 
 @dataclass(frozen=True)
 class Result:
-    """Result of a run that returned.
+    """Result of firmware that has returned.
 
     Attributes:
         code: Exit code of the firmware.
@@ -108,7 +108,8 @@ class Host:
         self.pacing: RealTimePace | None = None
 
     @classmethod
-    def _check(cls, board: Board, patience: float, example: str) -> None:
+    def _check_arguments(cls, board: Board, patience: float, example: str) -> None:
+        """Raise ArgumentError for an object that is no board, and for a patience that is not above 0."""
         if not isinstance(board, Board):
             raise ArgumentError(f"{board!r} is no Board: {cls.__name__}({example}, Board(stage)).")
         if not (isinstance(patience, int | float) and patience > 0):
@@ -224,6 +225,7 @@ class Host:
 
     @exclusive
     def _resume(self, ns: int, max_cycles: int) -> Result | None:
+        """Run the firmware for `ns` nanoseconds or up to `max_cycles` bus cycles; return its result if it has returned."""
         board, stage = self.board, self.board.stage
         if int(max_cycles) != max_cycles or max_cycles < 1:
             raise ArgumentError(f"max_cycles={max_cycles!r}: a whole number of bus cycles, 1 or more.")
@@ -241,7 +243,7 @@ class Host:
         return None if code is None else Result(code, (stage.now - now) * 1e-9, board.cycles - cycles)
 
     def _run_to(self, end: int) -> int | None:
-        """Run the firmware until it returns, until the time `end` (ns), or until its serial line's other end has what it waits for.
+        """Run the firmware until it returns, until the time `end` (ns), or until the other end of its serial line is satisfied.
 
         Returns:
             Exit code of the firmware, or None if it is paused.
@@ -262,6 +264,7 @@ class Host:
                 return code
 
     def _make_timeout(self, what: str) -> HostTimeout:
+        """Return the error for firmware that has not returned within its limits."""
         board = self.board
         return HostTimeout(
             f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.format_ending(SHOWN_CYCLES)}"
@@ -302,30 +305,30 @@ class NativeProgram:
             return TrappedLibrary(self.path, board.link, self.cost, self.lines, self.windows)
         if self.windows:
             raise StageError(
-                f"map={', '.join(map(str, self.windows))}: {memory_mapped_ports.explain_missing(isolated)}"
+                f"map={', '.join(map(str, self.windows))}: {memory_mapped_ports.explain_missing_windows(isolated)}"
             )
         return firmware_library.Library(self.path, board.link, self.cost, self.lines)
 
 
 class NativeHost(Host):
-    """Firmware as a library of this machine.
+    """Host whose firmware is a library of this machine.
 
     Args:
         firmware: A shared library, or C or C++ sources (one, or a sequence), which are built first.
-        board: A Board; one firmware at a time drives it.
-        isolated: Whether it runs in a process of its own, whose crash is an error here (default, on POSIX systems). False is for
-            debuggers: it is then loaded into this process by ctypes, and whatever it does happens to this process.
+        board: Board that the firmware drives. Only one firmware at a time can drive a board.
+        isolated: Whether the firmware runs in a separate process, so that its crash becomes an error (default, on POSIX systems).
+            False is for debuggers: the firmware is loaded into this process, and its effects happen to this process.
         flags: Flags for the compiler.
-        platform: What the sources were written for (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
+        platform: Platform for which the sources were written (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
         patience: Seconds of real time that the firmware may compute without a bus cycle.
         map: Windows of memory-mapped registers, see stage.board.memory_mapped_ports: one, or a sequence.
-        cost: Simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md; sources are
-            built so that they count them.
+        cost: Simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md. Sources are
+            built so that they count their basic blocks.
         pins: Pins of the firmware that are lines of STEP/DIR axes, see stage.board.pin_assignment: one text or several.
 
     Raises:
-        ArgumentError: There is no such patience, window or cost.
-        LibraryError: Not a library, for another machine, without the entry point, or not built with pulsestage.h.
+        ArgumentError: A patience, window or cost is out of range.
+        LibraryError: The file is no library, is for another machine, has no entry point, or was not built with pulsestage.h.
         CompileError, NoCompilerError: See `build`.
     """
 
@@ -342,7 +345,7 @@ class NativeHost(Host):
         cost: float = 0.0,
         pins: str | Sequence[str] = (),
     ):
-        self._check(board, patience, "'driver.c'")
+        self._check_arguments(board, patience, "'driver.c'")
         if not (isinstance(cost, int | float) and (cost == 0 or 1e-12 <= cost <= 1)):
             raise ArgumentError(
                 f"cost={cost!r}: simulated seconds a basic block, 1e-12 to 1, for example 50e-9; 0 for none."
@@ -350,7 +353,7 @@ class NativeHost(Host):
         mapped = memory_mapped_ports.parse_windows(map)
         lines = parse_firmware_pins(pins, board.stage)
         self._scratch = (
-            Scratch() if firmware_library.are_sources(firmware) else None
+            TemporaryFolder() if firmware_library.are_sources(firmware) else None
         )  # what is built goes with the host
         folder = self._scratch.path if self._scratch else None
         path = firmware_library.find_library(firmware, flags, platform, folder, metered=cost > 0)

@@ -16,15 +16,15 @@ import numpy as np
 
 from stage.board.bus import host_record, requests
 from stage.board.errors import HostError, StormError
-from stage.board.interrupt_hooks import Hooks
-from stage.board.memory_mapped_ports import explain_missing
+from stage.board.interrupt_hooks import InterruptHooks
+from stage.board.memory_mapped_ports import explain_missing_windows
 from stage.errors import StageError
 from stage.native import without_attributes
 from stage.sim import engine_records, stage_handle
 
 if TYPE_CHECKING:
     from stage.board.board import Board
-    from stage.board.isolation.traps.memory_windows import Windows
+    from stage.board.isolation.traps.memory_windows import MemoryWindows
 
 NOTED = 1 << 14  # edges and writes between two calls of Python
 UNBOUNDED = 1 << 62
@@ -55,7 +55,7 @@ class Link:
         self.calls = 0
         self.firmware_thread, self.has_other_threads = 0, False
         self.error: BaseException | None = None
-        self.windows: Windows | None = None
+        self.windows: MemoryWindows | None = None
         self.answering: Any = None
         self.pause: Callable[[], None] | None = None
         self.abandoned: set[threading.Thread] = set()
@@ -70,7 +70,7 @@ class Link:
         }  # fmt: skip
         self.request: Any = requests.request.pointer
         self._make_record()
-        self.hooks = Hooks(self)
+        self.hooks = InterruptHooks(self)
 
     @property
     def traced(self) -> int:
@@ -148,7 +148,7 @@ class Link:
         return sum(1 << k for k, chip in enumerate(self.stage.chips) if chip.glitches)
 
     def end_run(self) -> None:
-        """Pass the notes of compiled code to journals and recording."""
+        """Pass the edges, bus cycles and samples that compiled code has recorded to journals and recording."""
         stage, h = self.stage, self.record
         if n := int(h["noted"]):
             h["noted"] = 0
@@ -157,34 +157,34 @@ class Link:
             recording.take_rows(int(h["filled"]))
             h["filled"] = recording.filled
 
-    def journal_edges(self, n: int) -> None:
-        """Pass the first `n` noted edges and cycles to journals and diagnostics."""
-        self.stage.loop.journal_edges(n)
+    def journal_edges(self, count: int) -> None:
+        """Pass the first `count` recorded edges and cycles to journals and diagnostics."""
+        self.stage.loop.journal_edges(count)
         for chip in self.stage.chips:
             if chip.journal_lint is not None:
                 chip.journal_lint.process_long_journal()
 
     def is_write_lost(self, chip: int, address: int, value: int) -> bool:
-        """Tell whether a fault of the bus loses this write before it reaches the chip."""
+        """Return whether a fault of the bus loses this write before it reaches the chip."""
         return self.stage.chips[chip].loses_write(address, value)
 
-    def call_device(self, k: int, n: int, kind: int, value: int) -> int:
+    def call_device(self, index: int, register: int, kind: int, value: int) -> int:
         """Make a bus cycle at a register of a device that is written in Python, and return the answer.
 
         Args:
-            k: Index of the device.
-            n: Number of its register.
+            index: Index of the device.
+            register: Number of its register.
             kind: IN8, OUT8, IN16 or OUT16.
             value: Value that is written.
         """
-        device = self.board.devices[k]
+        device = self.board.devices[index]
         self.answering, loop = device, self.stage.loop
         loop.time_refusal = (
             f"{device.name} answers a bus cycle: within it no time passes, and the stage stays in its state. "
             "Do it later."
         )
         try:
-            return device.access_register(n, kind, value)
+            return device.access_register(register, kind, value)
         finally:
             self.answering, loop.time_refusal = None, ""
 
@@ -203,6 +203,7 @@ class Link:
             return self._make_request(what, a, b)
 
     def _make_request(self, what: int, a: int, b: int) -> int:
+        """Execute a request; see `make_request`, which holds the lock."""
         if self.answering is not None:
             raise StageError(f"{self.answering.name} answers a bus cycle: it can make none itself, and no time passes.")
         self.stage.loop.check_time_allowed()
@@ -241,9 +242,11 @@ class Link:
         self.hooks.remove_firmware_hooks()
         self.pause = None
 
-    def take_last_notes(self) -> None:
-        """Take the notes about the last cycles of abandoned firmware, without a bus cycle. The stage keeps its
-        state."""
+    def take_last_edges(self) -> None:
+        """Pass on the edges and cycles that abandoned firmware has recorded last, without a bus cycle.
+
+        The stage keeps its state.
+        """
         self.end_run()
         self.begin_run()
         self.request(self.pointer, host_record.SETTLE, 0, 0)
@@ -271,6 +274,7 @@ class Link:
             self.pause()
 
     def _handle_call(self, reason: int) -> None:
+        """Call the method that serves the reason of a call."""
         self.calls += 1
         try:
             self.end_run()
@@ -282,20 +286,25 @@ class Link:
         self.calls += 1
 
     def _undo_divergence(self, h: Any) -> None:
+        """Restore the state before the physics diverged, and raise SimulationError."""
         error = self.stage.loop.undo_divergence(self.pointer)
         self.end_run()
         raise error
 
     def _run_stage(self, h: Any) -> None:
+        """Advance the stage in Python to the time that compiled code requests."""
         self.stage.run_to(int(h["call_value"]))
 
     def _report_storm(self, h: Any) -> None:
+        """Raise StormError for a hook that does not clear its interrupt."""
         raise StormError(f"{self.hooks.describe_storm(int(h['call_value']))}\n{self.board.trace.text(8)}")
 
     def _report_refusal(self, h: Any) -> None:
+        """Raise HostError for a request that makes no sense."""
         raise HostError(self.hooks.describe_refusal(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"])))
 
     def _report_collision(self, h: Any) -> None:
+        """Raise HostError because two threads of the firmware have made requests at once."""
         raise HostError(
             "two threads of the firmware made bus cycles at the same time, or a handler of signals (setitimer, alarm) made "
             f"one in the middle of another, at {self.stage.time:.6f} s: a bus has one host at a time. Guard the cycles of "
@@ -303,10 +312,10 @@ class Link:
         )
 
     def _wait_for_others(self, h: Any) -> None:
-        """Wait at a bus cycle of another thread than the firmware's own.
+        """Wait at a bus cycle of a thread other than the firmware's own.
 
-        If a second thread makes a cycle during the wait and no mutex holds it back, that is an error. Without this
-        wait, short threads would miss each other in most runs and collide in some.
+        If another thread makes a cycle during the wait, no mutex protects the bus, and that is an error. Without this wait, short
+        threads would miss each other in most runs and collide only in some.
         """
         if threading.get_ident() == self.firmware_thread:  # a coroutine, or a handler of signals on a stack of its own
             return
@@ -319,14 +328,17 @@ class Link:
         time.sleep(THREAD_WAIT_S)
 
     def _note_line(self, h: Any) -> None:
+        """Add a line of the firmware to the log."""
         if not h["call_value"]:
             raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
         self.board.add_log_line(ctypes.string_at(int(h["call_value"])).decode(errors="replace"))
 
     def _check_write(self, h: Any) -> None:
+        """Decide whether a fault of the bus loses a write."""
         h["call_value"] = self.is_write_lost(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"]))
 
     def _call_device(self, h: Any) -> None:
+        """Execute a bus cycle at a device in Python."""
         k, n, kind, value = (int(h[name]) for name in ("call_chip", "call_address", "call_kind", "call_value"))
         try:
             h["call_value"] = self.call_device(k, n, kind, value)
@@ -334,12 +346,12 @@ class Link:
             self._trace_failure(k, n, kind, value)
             raise
 
-    def _trace_failure(self, k: int, n: int, kind: int, value: int) -> None:
+    def _trace_failure(self, index: int, register: int, kind: int, value: int) -> None:
         """Append the cycle in which a device in Python has failed to the trace."""
         h, buffer, reads = self.record, self.board.trace.buffer, kind in (host_record.IN8, host_record.IN16)
         now = self.stage.now + int(h["ahead"])
         data = (0xFF if kind == host_record.IN8 else 0xFFFF) if reads else value
-        port = self.board.devices[k].get_board_port(n)
+        port = self.board.devices[index].get_board_port(register)
         buffer[self.traced % len(buffer)] = (now, now, 1, kind | host_record.RAISED, port, data)
         h["traced"] += 1
         h["changed"] = h["traced"]
@@ -348,7 +360,7 @@ class Link:
         """Map a window that the firmware requests, or refuse an access to a window that is no bus cycle."""
         what, a, b = (int(h[name]) for name in ("call_chip", "call_value", "call_address"))
         if self.windows is None:
-            raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing(isolated=False)}")
+            raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing_windows(isolated=False)}")
         if what != host_record.WINDOW:
             raise self.windows.explain_refusal(what, a, b)
         h["call_value"] = self.windows.map_anywhere(a, b)

@@ -1,7 +1,7 @@
-"""`Hooks`: the Python side of the interrupt controller in stage.board.bus.interrupts, with its table and the hooks in
-Python.
+"""`InterruptHooks`: the Python side of the interrupt controller in stage.board.bus.interrupts.
 
-A hook in Python cannot be interrupted: it runs at the highest level, whatever the level of its source.
+It keeps the table of sources and the hooks that are Python functions. A hook in Python cannot be interrupted: it runs at the
+highest level, whatever the level of its source.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 PYTHONS_TIMERS = range(interrupts.FIRST_PYTHON_TIMER, interrupts.FIRST_PYTHON_TIMER + interrupts.PYTHON_TIMERS)
 
 
-class Hooks:
+class InterruptHooks:
     """Interrupt sources of one board, and the hooks in Python.
 
     Attributes:
@@ -44,8 +44,7 @@ class Hooks:
         self.use_table(self.sources)
 
     def use_table(self, sources: np.ndarray) -> None:
-        """Use the array `sources` as the table from now on; abandoned firmware that still has the old table has no
-        effect."""
+        """Use the array `sources` as the table from now on. Abandoned firmware keeps the old table, which then has no effect."""
         sources[:] = self.sources
         self.sources, self._hooks = sources, np.zeros(interrupts.HOOKS, interrupts.HOOK_CALLED)
         self._left += [sources, self._hooks]
@@ -97,7 +96,7 @@ class Hooks:
         self.update_interrupts()
 
     def point_to_python(self, functions: Collection[int], keep: bool = False) -> None:
-        """Point the sources with hooks in Python to these hooks.
+        """Let the sources with hooks in Python call these hooks.
 
         Args:
             functions: Indices of those sources.
@@ -146,7 +145,7 @@ class Hooks:
     # --- errors in words ---
 
     def describe_storm(self, source: int) -> str:
-        """Explain which hook is called without end, and why."""
+        """Explain which hook is called again and again, and why."""
         at = f"at {self._link.stage.time:.6f} s"
         if source < 0:
             return (
@@ -190,8 +189,7 @@ class Hooks:
         return f"{bounds.get(code, level_error)}; at {self._link.stage.time:.6f} s."
 
     def check_hooks_have_returned(self) -> None:
-        """Raise HostError if the firmware returns while one of its hooks has not returned and keeps other interrupts
-        from being called."""
+        """Raise HostError if the firmware has returned, but one of its hooks has not and so blocks other hooks."""
         h = self._link.record
         if not h["serving"]:
             return

@@ -1,7 +1,7 @@
-"""Layouts: which port of a host's bus reaches which address of which chip, as data, built in or from a file.
+"""Layouts: data that say which port of a host's bus reaches which address of which chip, built in or from a file.
 
 Chips follow one another from a base port on, each with as many ports as its layout has; after them, a card may have
-ports of its own. A TOML or JSON file describes how the chips of a card lie on a bus, without any Python:
+ports of its own. A TOML or JSON file describes the chips of a card on a bus, without any Python:
 
     # card.toml: two chips whose registers alternate, and one port of the card itself
     chip = "PCL240K"
@@ -117,7 +117,7 @@ def make_default_layout(chip: Chip) -> Layout:
 
 
 @dataclass(frozen=True)
-class Place:
+class ChipPlace:
     """Position of a chip on a bus.
 
     Attributes:
@@ -135,7 +135,7 @@ class Place:
 
 def assign_ports(
     chips: Mapping[int, Chip], layout: Layout | None, base: int | Mapping[Chip, int] | None, stride: int | None
-) -> list[Place]:
+) -> list[ChipPlace]:
     """Assign ports to the chips of a stage.
 
     Args:
@@ -150,7 +150,7 @@ def assign_ports(
     Raises:
         ArgumentError: The layout does not fit a chip, or a port does not exist.
     """
-    places: list[Place] = []
+    places: list[ChipPlace] = []
     next_base = None if isinstance(base, Mapping) else base
     for k, chip in chips.items():
         chip_layout = layout or make_default_layout(chip)
@@ -171,13 +171,13 @@ def assign_ports(
             raise ArgumentError(
                 f"base={text}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(chip_layout.ports)}."
             )
-        places.append(Place(chip, k, chip_layout, int(first)))
+        places.append(ChipPlace(chip, k, chip_layout, int(first)))
         next_base = int(first) + (chip_layout.stride if stride is None else stride)
     return places
 
 
 def make_port_table(
-    places: list[Place], others: Mapping[int, tuple[int, int, int, int]] | None = None
+    places: list[ChipPlace], others: Mapping[int, tuple[int, int, int, int]] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Build the table of ports of a bus.
 
@@ -194,6 +194,7 @@ def make_port_table(
     rows: dict[int, tuple[int, int, int, int]] = dict(others or {})
 
     def put(port: int, kind: int, chip: int, address: int, mask: int) -> None:
+        """Store what a port reaches. Raises ArgumentError if the port is taken or does not exist."""
         if kind == NOTHING:
             return
         if port > LAST_PORT:
@@ -233,7 +234,7 @@ def list_port_numbers(regions: np.ndarray) -> np.ndarray:
 
 
 def is_layout_file(layout: Any) -> bool:
-    """Tell whether `layout` is the path of a file, as opposed to the name of a layout."""
+    """Return whether `layout` is the path of a file, as opposed to the name of a layout."""
     return isinstance(layout, os.PathLike) or (isinstance(layout, str) and bool(Path(layout).suffix))
 
 
@@ -247,6 +248,7 @@ def load_layout(layout: str | os.PathLike | Layout | None) -> Layout | None:
 
 
 def _find_shipped_layout(name: str) -> Layout:
+    """Return the built-in layout of this name. Raises ArgumentError."""
     if name not in LAYOUTS:
         raise unknown_name_error("layout", name[:MAX_SHOWN], LAYOUTS)
     return LAYOUTS[name]
@@ -276,6 +278,7 @@ def read_layout(path: str | os.PathLike) -> Layout:
 
 
 def _parse_layout(name: str, content: Mapping[str, Any]) -> Layout:
+    """Return the layout that the keys of a file describe."""
     for key in content:
         if key not in KEYS:
             raise unknown_name_error("key", key[:MAX_SHOWN], KEYS)
@@ -312,6 +315,7 @@ def _parse_start(name: str, content: Mapping[str, Any]) -> Layout:
 
 
 def _parse_ports(key: str, texts: Any, chip: type[Chip]) -> tuple[tuple[int, int], ...]:
+    """Return what each port of a list reaches, from its words."""
     if not isinstance(texts, list):
         raise ArgumentError(
             f"{key} = {texts!r:.{MAX_SHOWN}}: a list of what each port reaches. Write for example: {EXAMPLE}"
@@ -331,6 +335,7 @@ def _parse_ports(key: str, texts: Any, chip: type[Chip]) -> tuple[tuple[int, int
 
 
 def _parse_port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
+    """Return what one port reaches, (kind, address), from its words."""
     word, _, number = str(text).partition(" ")
     if word not in PORT_WORDS:
         near = find_similar_names(word, PORT_WORDS)
@@ -359,6 +364,7 @@ def _parse_port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
 
 
 def _parse_number(content: Mapping[str, Any], key: str, default: int, low: int, high: int) -> int:
+    """Return a number of a file, within `low` to `high`."""
     value = content.get(key, default)
     try:
         number = int(value, 0) if isinstance(value, str) else value

@@ -51,11 +51,11 @@ Windows = str | tuple[int, int, int] | Iterable[str | tuple[int, int, int]]
 
 
 def is_supported() -> bool:
-    """Tell whether firmware can have windows on this system: Linux on x86-64."""
+    """Return whether firmware can have windows on this system: Linux on x86-64."""
     return IS_SUPPORTED and platform.machine() == "x86_64"
 
 
-def explain_missing(isolated: bool) -> str:
+def explain_missing_windows(isolated: bool) -> str:
     """Return a sentence that explains why windows are not available here.
 
     Args:
@@ -93,6 +93,7 @@ def parse_windows(windows: Windows = ()) -> tuple[Window, ...]:
 
 
 def _parse_numbers(one: Any) -> Iterable[int]:
+    """Return the address, the port and the length of a window."""
     if not isinstance(one, str):
         if isinstance(one, bool) or len(one) != 3 or not all(type(n) is int for n in one):
             raise TypeError
@@ -104,6 +105,7 @@ def _parse_numbers(one: Any) -> Iterable[int]:
 
 
 def _check_window(window: Window) -> Window:
+    """Return the window. Raises ArgumentError for ports or addresses that do not exist."""
     if window.length < 1:
         raise ArgumentError(f"window {window}: its length is 1 port or more.")
     if window.port < 0 or window.port + window.length > MAX_PORTS:

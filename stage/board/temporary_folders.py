@@ -24,7 +24,7 @@ LOCK = ".lock"
 _parent: Path | None = None
 
 
-class Scratch:
+class TemporaryFolder:
     """Temporary folder with a lock, removed when it is closed.
 
     Attributes:
@@ -52,6 +52,7 @@ def set_parent_folder(folder: Path) -> None:
 
 
 def _remove(path: Path, lock: int, owner: int) -> None:
+    """Remove a folder, except in a fork of its owner, and close its lock."""
     if os.getpid() == owner:  # a fork has it too, and is not to take it away
         shutil.rmtree(path, ignore_errors=True)
     with suppress(OSError):

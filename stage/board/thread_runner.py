@@ -84,12 +84,18 @@ def read_status(process: int | str) -> dict[str, str]:
 
 
 def is_debugged(process: int | str = "self") -> bool:
-    """Tell whether a debugger is attached to a process, which may then stop for a long time."""
+    """Return whether a debugger is attached to a process, which may then stop for a long time."""
     return read_status(process).get("TracerPid", "0") != "0"
 
 
 class ThreadRunner:
-    """`Runner` in a thread of this process. The constructor raises an error if the program cannot be loaded."""
+    """`Runner` in a thread of this process. The constructor raises an error if the program cannot be loaded.
+
+    Args:
+        program: The firmware.
+        board: Board that the firmware drives.
+        patience: Seconds of real time that the firmware may compute without a bus cycle.
+    """
 
     isolated = False
     outlives = " (Its thread goes on until the process ends; isolated=True ends such a loop.)"
@@ -102,7 +108,7 @@ class ThreadRunner:
         self._code: int | None = None
         self._unloadable: list[LoadedProgram] = []
         self._loaded: LoadedProgram | None = None
-        self._check()
+        self._check_loadable()
 
     @property
     def running(self) -> bool:
@@ -133,7 +139,7 @@ class ThreadRunner:
         link.begin_run()
         self._go.release()
         try:
-            self._wait()
+            self._wait_for_pause()
         except BaseException:
             self._interrupt()
             raise
@@ -171,9 +177,10 @@ class ThreadRunner:
 
     # --- inside ---
 
-    def _check(self) -> None:
+    def _check_loadable(self) -> None:
         """Load and unload the program once, so that errors appear before a run. Requests of its destructors reach no
-        chip."""
+        chip.
+        """
         loaded, record = self._load(), self._board.link.record
         record["stopped"] = 1
         try:
@@ -186,6 +193,7 @@ class ThreadRunner:
         return self._program.load(self._board, self.isolated)
 
     def _start(self) -> None:
+        """Start the thread of the firmware."""
         self._loaded = loaded = self._load()
         self._go, self._paused, self._code = threading.Semaphore(0), threading.Semaphore(0), None
         before = threading.stack_size(STACK_SIZE)
@@ -212,7 +220,7 @@ class ThreadRunner:
         _reset_float_environment()
         if threading.current_thread() in link.abandoned:
             return
-        self._settle()
+        self._advance_to_end()
         if failure is not None:
             link.set_error(failure)
         self._thread = None
@@ -224,7 +232,7 @@ class ThreadRunner:
         self._code = code
         self._paused.release()
 
-    def _settle(self) -> None:
+    def _advance_to_end(self) -> None:
         """Advance the stage to the time of firmware that has ended, and remove the firmware's hooks."""
         link = self._board.link
         link.record["lazy"] = 0
@@ -242,7 +250,7 @@ class ThreadRunner:
         self._paused.release()
         self._go.acquire()
 
-    def _wait(self) -> None:
+    def _wait_for_pause(self) -> None:
         """Wait until the firmware pauses, and raise HostError if it does not respond."""
         board = self._board
         h, state, since = board.link.record, None, time.monotonic()
@@ -262,7 +270,7 @@ class ThreadRunner:
                 since = time.monotonic()
 
     def _has_lost_its_thread(self) -> bool:
-        """Tell whether the firmware's thread has ended although PULSESTAGE_MAIN has not returned."""
+        """Return whether the firmware's thread has ended although its entry point has not returned."""
         thread = self._thread
         if thread is None or thread.native_id is None or not TASKS.is_dir() or (TASKS / str(thread.native_id)).is_dir():
             return False
@@ -295,11 +303,11 @@ class ThreadRunner:
         self._board.link.record["until"] = 0
         if not self._paused.acquire(timeout=INTERRUPT_LIMIT_S):
             self.close()
-            self._board.link.take_last_notes()
+            self._board.link.take_last_edges()
 
 
 def _reset_float_environment() -> None:
-    """Restore the default floating-point environment of this thread, in which Python continues after the firmware."""
+    """Restore the default floating-point environment of this thread, because Python continues in it after the firmware."""
     libc = ctypes.CDLL(None)
     if hasattr(libc, "fesetenv"):
         libc.fesetenv(ctypes.c_void_p(-1))  # FE_DFL_ENV

@@ -93,6 +93,7 @@ class HostWaveforms:
 
 
 def _register_signals(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[Iterator[tuple[int, Any, Any]]]:
+    """Register the signals in the VCD file, and return iterators of their changes."""
     if not len(lines):
         return []
     kind = lines["kind"] & KIND_BITS

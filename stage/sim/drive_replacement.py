@@ -111,7 +111,7 @@ def set_drive_record(state: State, axis: Axis, drive: Drive | Servo, drive_recor
         drive_record: DRIVE record.
     """
     current = drive_record.current
-    drive.fill(drive_record)
+    drive.fill_record(drive_record)
     if state.chip_table[state.axis_table[axis.index].chip].read_motor_current:
         drive_record.current = current  # is the chip's to say
 

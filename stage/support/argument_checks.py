@@ -134,7 +134,9 @@ TYPE_CHECKS: dict[str, TypeCheck] = {
     ),
     "Motor": (lambda v: isinstance(v, str) or hasattr(v, "rated_current"), "a motor, or the name of one"),
     "DriveChoice": (
-        lambda v: v is None or isinstance(v, str | Mapping) or hasattr(v, "fill_record") or hasattr(v, "torque_constant"),
+        lambda v: (
+            v is None or isinstance(v, str | Mapping) or hasattr(v, "fill_record") or hasattr(v, "torque_constant")
+        ),
         "a Drive, a Servo, a motor, or a mapping of these by axis",
     ),
     "Layout": (lambda v: hasattr(v, "ports"), "a layout"),

@@ -69,7 +69,7 @@ class TargetHost(Host):
         isolated: bool = os.name == "posix",
         patience: float = PATIENCE_S,
     ):
-        self._check(board, patience, "'firmware.elf'")
+        self._check_arguments(board, patience, "'firmware.elf'")
         if mcu_clock is not None and not (
             isinstance(mcu_clock, int | float) and 1e3 <= mcu_clock <= 1e9 and math.isfinite(mcu_clock)
         ):

@@ -21,7 +21,7 @@ from stage.board.bus.interrupts import (
 )
 from stage.board.devices import HCTL2016, Encoder
 from stage.board.interrupt_hooks import format_source_name
-from stage.board.isolation.traps.memory_windows import Windows
+from stage.board.isolation.traps.memory_windows import MemoryWindows
 from stage.board.layouts import read_layout
 from stage.board.memory_mapped_ports import ADDRESS_LIMIT, Window, parse_windows
 from stage.chips import HCTL1100, MCX304
@@ -115,10 +115,10 @@ def test_windows_end_with_the_last_port_and_address():
 )
 def test_an_access_outside_windows_names_the_nearest_window(address, nearest, monkeypatch):
     argument = parse_windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
-    monkeypatch.setattr("stage.board.crash_report.locate", lambda *_: "main")
+    monkeypatch.setattr("stage.board.crash_report.locate_code", lambda *_: "main")
     state = SimpleNamespace(start=0, stack=id(argument))
     monkeypatch.setattr("stage.board.isolation.traps.memory_windows.array_at", lambda *_: [state])
-    mapped = Windows.__new__(Windows)
+    mapped = MemoryWindows.__new__(MemoryWindows)
     mapped._windows, mapped._library = list(argument), SimpleNamespace(path=SimpleNamespace(name="it.so"))
     mapped._format_moment = lambda: "now"
     message = str(mapped.explain_refusal(host_record.BEYOND_WINDOW, 0, address))

@@ -121,5 +121,5 @@ def test_a_library_without_symbols_says_the_function_and_its_offset(tmp_path, mo
 
 
 def test_nothing_noted_says_nothing(tmp_path):
-    assert crash_report.describe(b"", tmp_path / "it.so") == ""
-    assert crash_report.describe(b"[" * 100_000, tmp_path / "it.so") == "", "firmware has written into it"
+    assert crash_report.describe_crash(b"", tmp_path / "it.so") == ""
+    assert crash_report.describe_crash(b"[" * 100_000, tmp_path / "it.so") == "", "firmware has written into it"

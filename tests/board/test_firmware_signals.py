@@ -195,7 +195,7 @@ def test_a_process_stopped_twice_reports_its_exit_code():
 
     stopped_by = [number << 8 | 0x7F for number in (signal.SIGUSR2, signal.SIGSTOP)]  # as waitpid encodes them
     with socket.socket() as status:
-        process = process_starter.Process(Recorded(*stopped_by, signal.SIGKILL), status)
+        process = process_starter.ChildProcess(Recorded(*stopped_by, signal.SIGKILL), status)
         assert process.wait() == -signal.SIGKILL
     assert process.stopped == signal.SIGSTOP
 

@@ -269,7 +269,7 @@ def test_firmware_that_raises_sigint_is_reported_and_prints_nothing(capfd):
 
 
 def test_a_note_of_a_crash_that_firmware_has_overwritten_says_nothing(tmp_path):
-    assert crash_report.describe(b"\xff" * 9, tmp_path) == crash_report.describe(b"[1]", tmp_path) == ""
+    assert crash_report.describe_crash(b"\xff" * 9, tmp_path) == crash_report.describe_crash(b"[1]", tmp_path) == ""
 
 
 def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
@@ -277,7 +277,7 @@ def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
     body = "#include <pulsestage.h>\n#include <unistd.h>\nPULSESTAGE_MAIN { return ps_in8(0x300) ? getpid() : 0; }\n"
     stored = [host(body, isolated=True)]
     (old,) = [child.run(1).code for child in stored]
-    send, hosts = process_starter.Starter.send, []
+    send, hosts = process_starter.ProcessStarter.send, []
 
     def collect_first(self, message, files):
         if message[0] == "start":
@@ -285,7 +285,7 @@ def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
             gc.collect()
         send(self, message, files)
 
-    monkeypatch.setattr(process_starter.Starter, "send", collect_first)
+    monkeypatch.setattr(process_starter.ProcessStarter, "send", collect_first)
     begins = threading.Thread(target=lambda: hosts.append(host(body, isolated=True)), daemon=True)
     begins.start()
     begins.join(20)

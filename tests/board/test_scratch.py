@@ -111,11 +111,11 @@ def test_no_file_stays_when_the_program_ends_or_is_killed(isolated, end, tmp_pat
 
 
 def test_a_folder_in_use_is_not_swept(folder, monkeypatch):
-    used, left = temporary_folders.Scratch(), temporary_folders.Scratch()
+    used, left = temporary_folders.TemporaryFolder(), temporary_folders.TemporaryFolder()
     copy = folder / f"{temporary_folders.PREFIX}left"
     shutil.copytree(left.path, copy)  # the lock is that of the other file
     left.close()
     temporary_folders.remove_stale_folders.cache_clear()
-    temporary_folders.Scratch().close()
+    temporary_folders.TemporaryFolder().close()
     assert of_runs(folder) == [used.path]
     used.close()

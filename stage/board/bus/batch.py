@@ -25,7 +25,7 @@ every, mask: for UNTIL8 and UNTIL16 only, the mask as 32 unsigned bits."""
 
 @hot
 def _is_invalid(entry, n_chips):
-    """Tell whether an entry has an unknown request code or an operand out of range."""
+    """Return whether an entry has an unknown request code or an operand out of range."""
     code = entry.what
     if code in (host_record.SET_LINES, host_record.READ_LINES, host_record.WATCH_LINES):
         return not 0 <= entry.a & ~host_record.WITH_CYCLE < n_chips or entry.b < 0
@@ -81,7 +81,7 @@ def _wait_for_line(host, us):
 
 @hot
 def set_next_pause(host):
-    """Set the time and the number of bus cycles at which the batch pauses next."""
+    """Set the time and the number of bus cycles at which the batch will pause."""
     host.until, host.max_cycles = host_record.get_now(host) + SLICE_NS, host.cycles + SLICE_CYCLES
 
 
@@ -115,7 +115,7 @@ def run_batch(host, entries, answers):
         if host.stopped:
             break
         done += 1
-    waiting.catch_up(host)
+    waiting.advance_stage_to_host(host)
     if host.stopped and done == len(entries):
         done -= 1
     host.lazy, host.until, host.max_cycles = lazy, until, max_cycles

@@ -192,7 +192,12 @@ def leave(host):
 def call_host_function(host, function, argument):
     """Release the board while a function of the host runs, because the function may access the bus.
 
-    Then claim the board again, and restore the usual floating-point mode.
+    Afterwards, claim the board again and restore the usual floating-point mode.
+
+    Args:
+        host: The HOST record.
+        function: Address of the function.
+        argument: Argument of the function.
     """
     leave(host)
     _call(function, (argument,))
@@ -203,7 +208,7 @@ def call_host_function(host, function, argument):
 
 @hot
 def call_python(host, reason):
-    """Call Python for one of the reasons above."""
+    """Call Python for one of the reasons of this module, such as a full buffer."""
     before, host.in_python = host.in_python, 1
     call_host_function(host, host.call, reason)
     host.in_python = before
@@ -255,40 +260,52 @@ def append_to_journal(host, kind, chip, address, value):
 
 
 @hot
-def get_device(host, k):
-    """Return the DEVICE_TABLE record of device `k`."""
-    return array_at(host.devices, host.n_devices, DEVICE_TABLE)[k]
+def get_device(host, index):
+    """Return the DEVICE_TABLE record of device `index`."""
+    return array_at(host.devices, host.n_devices, DEVICE_TABLE)[index]
 
 
 @hot
-def _read_encoders(host, d):
+def _read_encoders(host, device):
     """Compute the counts of a device's encoders at the host's time."""
     s = get_stage(host)
     qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), get_axis_table(s)
-    counts, encoders = array_at(d.counts, d.n_encoders, INTEGER), array_at(d.encoders, d.n_encoders, ENCODER)
+    counts, encoders = (
+        array_at(device.counts, device.n_encoders, INTEGER),
+        array_at(device.encoders, device.n_encoders, ENCODER),
+    )
     tau = float(get_now(host) - get_world(s).start) / engine_records.SECOND - get_clockwork(s).half
-    for k in range(d.n_encoders):
+    for k in range(device.n_encoders):
         e = encoders[k]
         t = axes[e.axis]
         counts[k] = int(floor((qpos[t.qpos] + qvel[t.dof] * tau - e.zero) * e.counts + 0.5))
 
 
 @hot
-def access_device(host, k, n, kind, value):
-    """Make a bus cycle at a register of device `k`, and return the answer. For a device in Python the caller advances
-    the stage first."""
+def access_device(host, device, register, kind, value):
+    """Make a bus cycle at a register of a device, and return the answer.
+
+    For a device in Python, the caller advances the stage first.
+
+    Args:
+        host: The HOST record.
+        device: Index of the device.
+        register: Number of the register.
+        kind: IN8, OUT8, IN16 or OUT16.
+        value: Value that is written.
+    """
     if host.stopped:
         return 0xFFFF
-    d = get_device(host, k)
+    d = get_device(host, device)
     if d.access == 0:
-        host.call_chip, host.call_address, host.call_kind, host.call_value = k, n, kind, value
+        host.call_chip, host.call_address, host.call_kind, host.call_value = device, register, kind, value
         call_python(host, DEVICE_CALLED)
         host.quiet = 0
         return host.call_value
     if d.n_encoders:
         _read_encoders(host, d)
-    host.answers = k + 1
-    answer = _access(d.access, (d.state, get_now(host), d.counts, n, kind, value))
+    host.answers = device + 1
+    answer = _access(d.access, (d.state, get_now(host), d.counts, register, kind, value))
     host.answers = 0
     return answer
 

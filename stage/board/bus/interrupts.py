@@ -1,11 +1,11 @@
 """The interrupt controller of a board, compiled: sources with levels, timers, and the hooks that are being called.
 
-A source calls its hook when its level is above the processor's, which then has that level until the hook returns. A line asks for
-as long as it is asserted; a timer or a software interrupt has one flag, which the call clears: what comes while the flag is set is
-missed, and counted.
+A source calls its hook when its level is above the level of the processor. The processor then has the level of the source until the
+hook returns. A line requests an interrupt as long as it is asserted. A timer or a software interrupt has one flag, which the call
+clears; requests that come while the flag is set are missed, and counted.
 
-A hook may also be left by a jump (longjmp): its frame is gone then, and the interrupt is over. `close_left` finds that out at the
-next request, by the position of its frame on the stack and by the mark below which the hook ran, if that is broken.
+A hook may also be left by a jump (longjmp). Its stack frame is then gone, and the interrupt is over. `end_abandoned_hooks` finds
+this out at the next request, from the stack position of the request and from the mark on the stack below which the hook ran.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ def get_sources(host):
 
 @hot
 def _get_hooks(host):
+    """Return all HOOK_CALLED records; those in use belong to hooks that are being called."""
     return array_at(host.hooks, HOOKS, HOOK_CALLED)
 
 
@@ -79,7 +80,7 @@ def update_pending(host):
 
 @hot
 def mark_due_timers(host):
-    """Set the flags of the timers that are due."""
+    """Set the flags of all timers whose time has come."""
     now, sources = get_now(host), get_sources(host)
     for k in range(FIRST_TIMER, FIRST_SOFTWARE):
         s = sources[k]
@@ -127,22 +128,22 @@ def enter_hook(host, source, mark):
 
 
 @hot
-def end_hook(host, place, number, level, outer, outer_number, how):
+def end_hook(host, index, number, level, outer, outer_number, ending):
     """End a hook that has returned (BACK), was left by a jump, or has lowered the level.
 
     Args:
         host: The HOST record.
-        place: Index of its HOOK_CALLED record.
+        index: Index of its HOOK_CALLED record.
         number: Number of the call; a record with another number is left alone.
         level: Level of the processor from now on.
         outer: Hook that this hook interrupted, plus one; 0 if none.
         outer_number: Number of the call of that hook.
-        how: BACK, JUMPED or LOWERED.
+        ending: BACK, JUMPED or LOWERED.
     """
     hooks = _get_hooks(host)
-    if hooks[place].number == number:
-        append_to_trace(host, RETURNED, hooks[place].source, how, -1)
-        hooks[place].number = 0
+    if hooks[index].number == number:
+        append_to_trace(host, RETURNED, hooks[index].source, ending, -1)
+        hooks[index].number = 0
     host.level = level
     host.serving = outer if outer and hooks[outer - 1].number == outer_number else 0
 
@@ -164,7 +165,7 @@ def end_abandoned_hooks(host, frame):
 
 @hot
 def _is_abandoned(host, mark, frame):
-    """Tell from the stack position of a request whether the hook below `mark` has been left."""
+    """Return whether the stack position of a request shows that the hook below `mark` has been left."""
     if frame > mark:
         on_firmware_stack = host.stack_low < mark and frame < host.stack_high
         return on_firmware_stack or frame - mark < NEAR

@@ -1,6 +1,6 @@
-"""One bus cycle of a host, compiled: time passes, the chip is written or read, the trace notes it, the interrupt line is checked.
+"""Requests of a host, compiled. In a bus cycle time passes, the chip is written or read, and the trace and the interrupts follow.
 
-A host, in C or in Python, makes all its requests by one function, `request(host, what, a, b)`, which C calls through a pointer.
+A host, in C or in Python, makes all its requests by one function, `request(host, code, a, b)`, which C calls through a pointer.
 `host` is the address of a HOST record, see host_record.py.
 """
 
@@ -28,7 +28,7 @@ def _is_lost(host, chip, address, value):
     """Return 1 if a fault of the bus loses this write before it reaches the chip."""
     if host.checked_chips >> chip & 1 == 0:
         return 0
-    waiting.catch_up(host)
+    waiting.advance_stage_to_host(host)
     host.call_chip, host.call_address, host.call_value = chip, address, value
     host_record.call_python(host, host_record.CHECK_WRITE)
     host.quiet = 0
@@ -90,15 +90,16 @@ def _get_latches(host):
 
 
 @hot
-def _access_device(host, p, kind, value):
-    """Make a bus cycle at a device."""
-    if host_record.get_device(host, p.chip).access == 0:
-        waiting.catch_up(host)
-    return host_record.access_device(host, p.chip, p.address, kind, value)
+def _access_device(host, port_record, kind, value):
+    """Make a bus cycle at the device of a port, and return the answer."""
+    if host_record.get_device(host, port_record.chip).access == 0:
+        waiting.advance_stage_to_host(host)
+    return host_record.access_device(host, port_record.chip, port_record.address, kind, value)
 
 
 @hot
-def _in8(host, port):
+def _read_8_bits(host, port):
+    """Read 8 bits from a port in one bus cycle."""
     waiting.pass_bus_cycle(host)
     p, value = _find_port(host, port), 0xFF
     kind = p.kind
@@ -125,8 +126,8 @@ def _in8(host, port):
 
 
 @hot
-def _out8(host, port, value):
-    """Write 8 bits. On a 16-bit bus the other half of the data lines floats."""
+def _write_8_bits(host, port, value):
+    """Write 8 bits to a port in one bus cycle. On a 16-bit bus the other half of the data lines floats."""
     p = _find_port(host, port)
     kind = p.kind
     if kind == host_record.WORD:
@@ -157,17 +158,20 @@ def _out8(host, port, value):
 
 
 @hot
-def _accepts_16_bits(p):
-    """Tell whether a 16-bit access to this port is one bus cycle; otherwise it takes two."""
-    return p.kind in (host_record.NOTHING, host_record.WORD) or (p.kind == DEVICE and p.mask == host_record.WIDE)
+def _accepts_16_bits(port_record):
+    """Return whether a 16-bit access to this port is one bus cycle; otherwise it takes two."""
+    return port_record.kind in (host_record.NOTHING, host_record.WORD) or (
+        port_record.kind == DEVICE and port_record.mask == host_record.WIDE
+    )
 
 
 @hot
-def _in16(host, port):
+def _read_16_bits(host, port):
+    """Read 16 bits from a port, in one or two bus cycles."""
     p = _find_port(host, port)
     if not _accepts_16_bits(p):
-        low = _in8(host, port)
-        return _in8(host, port + 1 & LAST_PORT) << 8 | low
+        low = _read_8_bits(host, port)
+        return _read_8_bits(host, port + 1 & LAST_PORT) << 8 | low
     waiting.pass_bus_cycle(host)
     value = 0xFFFF
     if p.kind == host_record.NOTHING:
@@ -180,11 +184,12 @@ def _in16(host, port):
 
 
 @hot
-def _out16(host, port, value):
+def _write_16_bits(host, port, value):
+    """Write 16 bits to a port, in one or two bus cycles."""
     p = _find_port(host, port)
     if not _accepts_16_bits(p):
-        _out8(host, port, value & 0xFF)
-        _out8(host, port + 1 & LAST_PORT, value >> 8)
+        _write_8_bits(host, port, value & 0xFF)
+        _write_8_bits(host, port + 1 & LAST_PORT, value >> 8)
         return
     if p.kind == host_record.WORD:
         _write_chip(host, p.chip, p.address, value, host_record.OUT_WIDE, port, value)
@@ -207,6 +212,7 @@ def _pass_poll(host):
 
 @hot
 def _report_refusal(host, code, a, b):
+    """Call Python about a request with operands that make no sense."""
     host.call_chip, host.call_address, host.call_value = code, a, b
     host_record.call_python(host, host_record.REFUSED)
 
@@ -214,7 +220,7 @@ def _report_refusal(host, code, a, b):
 @hot
 def _set_line_hook(host, hook, argument):
     """Set one hook for all interrupt lines."""
-    waiting.catch_up(host)
+    waiting.advance_stage_to_host(host)
     s = interrupts.get_sources(host)[interrupts.ANY_INTERRUPT_LINE]
     s.level, s.hook, s.argument, s.interrupt_mask = 1, hook, argument, -1
     interrupts.update_pending(host)
@@ -250,6 +256,7 @@ def _set_source(host, code, settings):
 
 @hot
 def _set_level(host, level):
+    """Set the level of the processor, unless `level` is negative, and call hooks that may run now. Return the previous level."""
     before = host.level
     if level > interrupts.HIGHEST:
         _report_refusal(host, host_record.LEVEL, level, 0)
@@ -276,7 +283,7 @@ def _check_stack(host):
     position = get_frame_address()
     if position < host.stack_low or position > host.stack_high:
         host.stack_checks -= 1
-        waiting.catch_up(host)
+        waiting.advance_stage_to_host(host)
         host_record.call_python(host, host_record.ANOTHER_STACK)
 
 
@@ -284,18 +291,18 @@ def _check_stack(host):
 def _access_ports(host, code, port, value):
     """Make the bus cycles of a read or write request, and return the value that was read."""
     if code == IN8:
-        return _in8(host, port)
+        return _read_8_bits(host, port)
     if code == IN16:
-        return _in16(host, port)
+        return _read_16_bits(host, port)
     if code == host_record.IN32:
-        low = _in16(host, port)
-        return _in16(host, port + 2 & LAST_PORT) << 16 | low
+        low = _read_16_bits(host, port)
+        return _read_16_bits(host, port + 2 & LAST_PORT) << 16 | low
     if code == host_record.OUT8:
-        _out8(host, port, value & 0xFF)
+        _write_8_bits(host, port, value & 0xFF)
     else:
-        _out16(host, port, value & 0xFFFF)
+        _write_16_bits(host, port, value & 0xFFFF)
         if code == host_record.OUT32:
-            _out16(host, port + 2 & LAST_PORT, value >> 16 & 0xFFFF)
+            _write_16_bits(host, port + 2 & LAST_PORT, value >> 16 & 0xFFFF)
     return 0
 
 
@@ -330,7 +337,7 @@ def _control_time(host, code, a, b):
         waiting.advance_host(host, a)
         return 1 if b and waiting.find_interrupt_mask(host) else 0
     elif code == host_record.SETTLE:
-        waiting.catch_up(host)
+        waiting.advance_stage_to_host(host)
         interrupts.update_pending(host)
         host.quiet = 0
     return 0
@@ -338,7 +345,10 @@ def _control_time(host, code, a, b):
 
 @hot
 def _access_lines(host, code, where, argument):
-    """Set, read or watch the input pins of a chip at the host's time, after a bus cycle if asked for, and return their word."""
+    """Set, read or watch the input pins of a chip at the host's time, and return their word.
+
+    If the request contains WITH_CYCLE, a bus cycle passes first.
+    """
     chip, has_cycle = where & ~host_record.WITH_CYCLE, where & host_record.WITH_CYCLE
     if not 0 <= chip < host.n_chips:
         _report_refusal(host, code, chip, 0)
@@ -388,7 +398,7 @@ def _access_serial(host, code, a):
 def _send_serial(host, line, value):
     """Put a byte on the serial line, once its other end has made room."""
     if line.sent - line.read >= serial_core.ROOM:
-        waiting.catch_up(host)
+        waiting.advance_stage_to_host(host)
         host_record.call_python(host, host_record.PAUSE)
         host.quiet = 0
     if serial_core.put_byte(line, value):
@@ -418,7 +428,7 @@ def execute(host, code, a, b):
     if code <= OUT16 or code in (host_record.IN32, host_record.OUT32):
         return _access_ports(host, code, a & LAST_PORT, b)
     if host_record.WINDOW <= code <= host_record.BEYOND_WINDOW:
-        waiting.catch_up(host)
+        waiting.advance_stage_to_host(host)
         host.call_chip, host.call_value, host.call_address = code, a, b
         host_record.call_python(host, host_record.WINDOW_REQUEST)
         return host.call_value
@@ -426,7 +436,7 @@ def execute(host, code, a, b):
         is_serial = host_record.SEND_SERIAL <= code <= host_record.SET_SERIAL_RATE
         return _access_serial(host, code, a) if is_serial else _access_lines(host, code, a, b)
     if code == host_record.LOG:
-        waiting.catch_up(host)
+        waiting.advance_stage_to_host(host)
         host.call_value = a
         host_record.call_python(host, host_record.LINE_OF_LOG)
         return 0

@@ -1,5 +1,4 @@
-"""Advance the time of a host, compiled: in bus cycles, delays and computing. Calls the hooks of interrupts on the
-way."""
+"""Advance the time of a host, compiled: in bus cycles, delays and computing. Due interrupt hooks are called on the way."""
 
 from __future__ import annotations
 
@@ -33,8 +32,8 @@ def _run_stage(host, until):
 
 
 @hot
-def catch_up(host):
-    """Advance the whole stage to the host's time."""
+def advance_stage_to_host(host):
+    """Advance the whole stage to the time of the host."""
     if host.ahead:
         ahead, host.ahead = host.ahead, 0
         _run_stage(host, get_world(get_stage(host)).now + ahead)
@@ -42,7 +41,7 @@ def catch_up(host):
 
 @hot
 def _find_quiet_time(host):
-    """Compute the time up to which only the chips change: no edge and no end of a slice comes before it."""
+    """Compute the time up to which only the chips change: before it, there is no switch edge and no end of a slice."""
     w, axes, dt = get_world(get_stage(host)), array_at(host.axes, host.n_axes, AXIS), get_clockwork(get_stage(host)).dt
     host.quiet = least(least(host.until, host.due), w.start + (w.slice + 1) * dt // engine_records.SLICES)
     for a in range(len(axes)):
@@ -68,14 +67,14 @@ def _pass_time(host, ns):
 def _pass_cycle_time(host, ns):
     """Let the time of a bus cycle pass.
 
-    While only the chips change, the stage follows later, and only the accessed chip advances. Advancing all chips in
+    While only the chips change, the stage stays behind the host, and only the accessed chip advances. Advancing all chips in
     each cycle would cost as much as the physics.
     """
     lazy = host.lazy and host.hooked_interrupt_level <= host.level
     if lazy and host_record.get_now(host) + ns < host.quiet:
         host.ahead += ns
         return
-    catch_up(host)
+    advance_stage_to_host(host)
     _pass_time(host, ns)
     if host_record.get_now(host) >= host.due:
         interrupts.mark_due_timers(host)
@@ -94,7 +93,7 @@ def advance_chip(host, chip):
 @hot
 def find_interrupt_mask(host):
     """Return a bit mask of the chips and devices that pull the interrupt line: first the chips, then the devices."""
-    catch_up(host)
+    advance_stage_to_host(host)
     irqs, pulling = array_at(host.irqs, host.n_chips, host_record.IRQ), 0
     for k in range(host.n_chips):
         irq = irqs[k]
@@ -138,7 +137,7 @@ def _call_hooks(host):
 @hot
 def _call_hook(host, source):
     """Call the hook of a source, and restore the level of the processor after it."""
-    catch_up(host)
+    advance_stage_to_host(host)
     s, level, outer, outer_number = interrupts.get_sources(host)[source], host.level, host.serving, 0
     mark, missed = stack_mark(MARK, MARKED), s.missed
     place = -1 if 0 < mark - host.stack_low < STACK_LEFT else interrupts.enter_hook(host, source, mark)
@@ -154,6 +153,7 @@ def _call_hook(host, source):
 
 @hot
 def _copy_words(source, target, words):
+    """Copy `words` 64-bit words from one address to another."""
     a, b = array_at(source, words, INTEGER), array_at(target, words, INTEGER)
     for k in range(words):
         b[k] = a[k]
@@ -195,9 +195,11 @@ def _run_until_interrupt(host, interrupt_mask, end):
 
 @hot
 def wait(host, ns):
-    """Let `ns` pass in a delay, and call hooks at the nanosecond of their timer or line. The time that a hook takes is
-    part of the delay."""
-    catch_up(host)
+    """Let `ns` pass in a delay, and call each hook at the exact nanosecond of its timer or line.
+
+    The time that a hook takes is part of the delay.
+    """
+    advance_stage_to_host(host)
     w = get_world(get_stage(host))
     end = w.now + ns
     while w.now < end and not host.stopped:
@@ -264,7 +266,7 @@ def set_source(host, source, interrupt_mask, settings, is_on):
         settings: Five int64: number, level, period (ns), hook, argument.
         is_on: Whether the source has a hook from now on.
     """
-    catch_up(host)
+    advance_stage_to_host(host)
     s = interrupts.get_sources(host)[source]
     s.level, s.hook, s.argument, s.interrupt_mask = (
         settings[1],
@@ -284,7 +286,7 @@ def set_source(host, source, interrupt_mask, settings, is_on):
 def pass_bus_cycle(host):
     """Let the time of one bus cycle pass."""
     if host.cycles >= host.max_cycles:
-        catch_up(host)
+        advance_stage_to_host(host)
         call_python(host, host_record.PAUSE)
         host.quiet = 0
     host.cycles += 1

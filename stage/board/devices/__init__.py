@@ -1,4 +1,4 @@
-"""Devices on a board's bus: those of users, in Python or in C, and shipped ones."""
+"""Devices on a board's bus: shipped ones, and those of users in Python or in C."""
 
 from stage.board.devices.device import Device, Encoder
 from stage.board.devices.device_options import KNOWN, make_device

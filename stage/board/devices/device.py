@@ -1,4 +1,4 @@
-"""`Device`: base of everything that lies at ports of a board besides its chips.
+"""`Device`: base class of everything at the ports of a board except its chips.
 
 The state of a device changes only in bus cycles and when a user sets inputs. Everything else, the interrupt line
 included, is a function of this state, the time and the positions of the axes with encoders. Therefore a delay can find
@@ -68,11 +68,11 @@ class Device:
     # --- for users ---
 
     def pull(self, on: bool = True, at: float | None = None) -> None:
-        """Pull the interrupt line, or release it.
+        """Assert the interrupt line, or release it.
 
         Args:
-            on: True to pull, False to release.
-            at: Time from which the device pulls, s since power-up; default: now.
+            on: True to assert it, False to release it.
+            at: Time from which the device asserts the line, s since power-up; default: now.
 
         Raises:
             ArgumentError: `at` is not a time of the stage.
@@ -85,7 +85,7 @@ class Device:
 
     @property
     def is_pulling(self) -> bool:
-        """True while the device pulls the interrupt line."""
+        """True while the device asserts the interrupt line."""
         board = self._require_board()
         return bool(board.read_interrupt_mask() >> (len(board.stage.chips) + board.devices.index(self)) & 1)
 
@@ -115,11 +115,11 @@ class Device:
 
     # --- for boards ---
 
-    def access_register(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, register: int, kind: int, value: int) -> int:
         """Execute a bus cycle at a register of a device in Python, and return the answer.
 
         Args:
-            n: Number of the register.
+            register: Number of the register.
             kind: IN8, OUT8, IN16 or OUT16 of stage.board.bus.host_record.
             value: Value that is written.
         """
@@ -129,29 +129,31 @@ class Device:
         """Return a function that explains bus cycles of this device. It has to receive all of them in order."""
         return lambda n, value, writes, wide: f"port {n} {'<-' if writes else '='} {value:0{4 if wide else 2}X}h"
 
-    def get_board_port(self, n: int) -> int:
-        """Return the port of the board at which register `n` lies; on a 16-bit bus the first of its two ports."""
-        return self.ports[2 * n if self.width == 16 else n]
+    def get_board_port(self, register: int) -> int:
+        """Return the port of the board at which register `register` lies; on a 16-bit bus the first of its two ports."""
+        return self.ports[2 * register if self.width == 16 else register]
 
-    def name_port(self, n: int) -> str:
-        """Return the name of register `n`."""
-        return f"port {n}"
+    def name_port(self, register: int) -> str:
+        """Return the name of register `register`."""
+        return f"port {register}"
 
     def list_arrays(self) -> list[np.ndarray]:
         """Return the arrays that snapshots include."""
         return [self.interrupt_start_ns, *self.state]
 
     def use_arrays(self, places: list[np.ndarray]) -> None:
-        """Use these arrays in place of those of `list_arrays` from now on."""
+        """Replace the arrays of `list_arrays` by these arrays from now on."""
         interrupt_start_ns, *state = places
         self.interrupt_start_ns = interrupt_start_ns.view(np.int64)
         pairs = zip(self.state, state, strict=True)
         self.state = [place.view(before.dtype).reshape(before.shape) for before, place in pairs]
 
     def make_recipe(self) -> tuple[Any, ...]:
-        """Return a function and its arguments, which can be pickled and which create the same device, or a placeholder,
-        in another process."""
-        return (Placeholder, self.name, self.width, sum(a.nbytes for a in self.state), self.encoders)
+        """Return a function and its arguments with which another process creates the same device, or a placeholder.
+
+        Both can be pickled.
+        """
+        return (PlaceholderDevice, self.name, self.width, sum(a.nbytes for a in self.state), self.encoders)
 
     def attach_to(self, board: Board, ports: Sequence[int]) -> None:
         """Attach this device to a board at these ports."""
@@ -164,12 +166,13 @@ class Device:
             self.name = f"{self.KIND} at {self.ports[0]:03X}h"
 
     def make_record(self) -> tuple[int, ...]:
-        """Return the fields of its DEVICE_TABLE record."""
+        """Return the fields of the device's DEVICE_TABLE record."""
         state = self.state[0].ctypes.data if self.state else 0
         start, counts, encoders = (a.ctypes.data for a in (self.interrupt_start_ns, self._counts, self._encoders))
         return state, self.access, self.pulls, start, counts, encoders, len(self.encoders)
 
     def _require_board(self) -> Board:
+        """Return the board. Raises StageError if the device is on no board."""
         if self.board is None:
             raise StageError(
                 f"{self.name} is on no board yet: board.attach_device(device, ports) or board.add_device(ports, ...)."
@@ -178,27 +181,30 @@ class Device:
 
 
 def _is_finite(value: Any) -> bool:
+    """Return whether a value is a finite number."""
     try:
         return math.isfinite(value)
     except TypeError:
         return False
 
 
-class Placeholder(Device):
-    """Stand-in for a device in Python in the process of isolated firmware, which calls the device in the process of the
-    board."""
+class PlaceholderDevice(Device):
+    """Stand-in for a device in Python, in the separate process of isolated firmware.
+
+    It calls the real device in the board's process.
+    """
 
     def __init__(self, name: str, width: int, size: int, encoders: Sequence[Encoder]):
         super().__init__(name, encoders, width)
         self.state = [np.zeros(size, np.uint8)]
 
 
-class Compiled(Device):
-    """Device with a module CORE that exports STATE, `access` and `pulls`, see stage.board.bus.host_record.
+class CompiledDevice(Device):
+    """Device with a compiled module CORE that exports STATE, `access` and `pulls`, see stage.board.bus.host_record.
 
     Attributes:
         CORE: The module.
-        OPTIONS: Names of its constructor's arguments except name and encoder.
+        OPTIONS: Names of the constructor's arguments except name and encoder.
         registers: Fields of its state by name.
     """
 
@@ -222,5 +228,6 @@ class Compiled(Device):
         return (_rebuild, type(self), options)
 
 
-def _rebuild(cls: type[Compiled], options: dict[str, Any]) -> Compiled:
+def _rebuild(cls: type[CompiledDevice], options: dict[str, Any]) -> CompiledDevice:
+    """Create a device from its class and its options."""
     return cls(**options)

@@ -1,7 +1,7 @@
-"""Devices written as text: KIND:PORT[:AXIS[:COUNTS]], or SOURCE.c:PORT[+PORTS].
+"""Devices as text, for command-line options: KIND:PORT[:AXIS[:COUNTS]], or SOURCE.c:PORT[+PORTS].
 
-hctl2016:0x320:x              on axis x, an encoder of 2000 counts a turn of its motor
-ls7166:0x330:y:4000           4000 counts a turn
+hctl2016:0x320:x              on axis x, an encoder of 2000 counts per turn of the motor
+ls7166:0x330:y:4000           4000 counts per turn
 uart:0x3F8   latch:0x378   adc.c:0x340+4
 """
 
@@ -51,17 +51,19 @@ def make_device(text: str) -> tuple[Device, list[int]]:
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ArgumentError(f"device {text!r}: unknown kind {kind!r}; known are {', '.join(KNOWN)}.{hint}")
     first = _parse_port(text, rest[0])
-    device = _make_counter(text, kind, rest) if kind in COUNTERS else _make_other(text, kind, rest)
+    device = _make_counter(text, kind, rest) if kind in COUNTERS else _make_device_without_axis(text, kind, rest)
     return device, list(range(first, first + device.PORTS))
 
 
-def _make_other(text: str, kind: str, rest: list[str]) -> Device:
+def _make_device_without_axis(text: str, kind: str, rest: list[str]) -> Device:
+    """Create a latch or a UART. Raises ArgumentError if the text names an axis."""
     if len(rest) > 1:
         raise ArgumentError(f"device {text!r}: {add_article(kind)} is on no axis. Write {kind}:{rest[0]}")
     return OTHERS[kind]()
 
 
 def _make_counter(text: str, kind: str, rest: list[str]) -> Device:
+    """Create an encoder counter for the axis that the text names."""
     if not 2 <= len(rest) <= 3:
         raise ArgumentError(
             f"device {text!r}: {add_article(kind)} counts an encoder on an axis. Write {kind}:{rest[0]}:x"
@@ -77,6 +79,7 @@ def _make_counter(text: str, kind: str, rest: list[str]) -> Device:
 
 
 def _parse_port(text: str, number: str) -> int:
+    """Return the port number. Raises ArgumentError, which quotes the whole text of the device, if it is no number."""
     try:
         return int(number, 0)
     except ValueError:

@@ -12,11 +12,11 @@ from __future__ import annotations
 from typing import ClassVar
 
 from stage.board.devices import hctl2016_core
-from stage.board.devices.device import Compiled, Encoder, Listener
+from stage.board.devices.device import CompiledDevice, Encoder, Listener
 
 
-class HCTL2016(Compiled):
-    """HCTL2016(Encoder("x", per_metre=200_000)): a counter of 16 bits."""
+class HCTL2016(CompiledDevice):
+    """Quadrature counter of 16 bits: HCTL2016(Encoder("x", per_metre=200_000))."""
 
     KIND = "hctl2016"
     BITS: ClassVar = 16
@@ -42,13 +42,13 @@ class HCTL2016(Compiled):
 
 
 class HCTL2000(HCTL2016):
-    """A counter of 12 bits."""
+    """Quadrature counter of 12 bits."""
 
     KIND = "hctl2000"
     BITS = 12
 
 
 class HCTL2020(HCTL2016):
-    """A counter of 16 bits; its outputs for cascading are not connected."""
+    """Quadrature counter of 16 bits. Its outputs for cascading are not connected."""
 
     KIND = "hctl2020"

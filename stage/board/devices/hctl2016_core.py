@@ -13,6 +13,7 @@ COUNT = np.dtype("i8")
 
 @hot
 def _read_counter(state, counts):
+    """Return the value of the counter."""
     return (array_at(counts, 1, COUNT)[0] - state.zero) & (1 << state.bits) - 1
 
 

@@ -20,15 +20,15 @@ from __future__ import annotations
 from typing import ClassVar
 
 from stage.board.devices import ls7166_core
-from stage.board.devices.device import Compiled, Encoder, Listener
+from stage.board.devices.device import CompiledDevice, Encoder, Listener
 
 _REGISTERS = ("MCR", "ICR", "OCCR", "QR")
 _MASTER = ("pointer = 0", "latch the counter", "counter = 0", "counter = PR", "COMPT = 0", "master reset")
 _STATUS = ("BWT", "CYT", "COMPT", "SIGN", "up")
 
 
-class LS7166(Compiled):
-    """LS7166(Encoder("x", per_turn=2000)): a counter of 24 bits."""
+class LS7166(CompiledDevice):
+    """Quadrature counter of 24 bits: LS7166(Encoder("x", per_turn=2000))."""
 
     KIND = "ls7166"
     PORTS = 2
@@ -46,6 +46,7 @@ class LS7166(Compiled):
         """Return a function that explains bus cycles of this counter, with the command of each control byte."""
 
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:
+            """Explain one bus cycle."""
             if n == 0:
                 return f"PR byte <- {value:02X}h" if writes else f"OL byte = {value:02X}h"
             bits = value & 0x3F if writes else value

@@ -18,13 +18,13 @@ ENABLE, DIVIDE = 8, 4
 
 @hot
 def _count_units(state, counts):
-    """Return the count of the quadrature inputs in the mode of QR: one, two or all of the four edges of a line."""
+    """Return the count of the quadrature inputs in the mode of QR, which counts one, two or all four edges of an encoder line."""
     return array_at(counts, 1, COUNT)[0] >> 3 - state.qr if state.qr else 0
 
 
 @hot
 def _update(state, counts):
-    """Let the counter count up to now. Between two cycles the net count matters: to and fro cancels out."""
+    """Update the counter to the present count of the encoder. Between two bus cycles only the net count matters."""
     units = _count_units(state, counts)
     steps, state.last = units - state.last, units
     if steps == 0 or state.qr == 0 or state.icr & ENABLE == 0:
@@ -72,6 +72,7 @@ def _write_mcr(state, value):
 
 @hot
 def _write_control(state, counts, value):
+    """Execute a control byte: a write to MCR, ICR, OCCR or QR."""
     register, value = value >> 6 & 3, value & 0x3F
     if register == 0:
         _write_mcr(state, value)
@@ -90,7 +91,7 @@ def _write_control(state, counts, value):
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
 def access(state, now, counts, register, kind, value):
-    """Make a cycle at port 0 (C/D low, data) or port 1 (C/D high, control and status)."""
+    """Execute a bus cycle at port 0 (C/D low, data) or port 1 (C/D high, control and status)."""
     _update(state, counts)
     at = 8 * state.pointer
     if register == 1:

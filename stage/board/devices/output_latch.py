@@ -1,4 +1,4 @@
-"""An output port: a latch of 8 bits that reads back, as for enable lines, brakes, lamps."""
+"""Output port: a latch of 8 bits that can be read back, for example for enable lines, brakes or lamps."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import ClassVar
 
 from stage.board.bus.host_record import OUT8
 from stage.board.devices import output_latch_core
-from stage.board.devices.device import Compiled, Listener
+from stage.board.devices.device import CompiledDevice, Listener
 
 
-class Latch(Compiled):
+class Latch(CompiledDevice):
     """8-bit output port that reads back its value; 0 at power-up.
 
     Args:

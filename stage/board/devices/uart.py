@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import ClassVar
 
 from stage.board.devices import uart_core
-from stage.board.devices.device import Compiled, Listener
+from stage.board.devices.device import CompiledDevice, Listener
 from stage.errors import ArgumentError, StageError
 
 CLOCK_HZ = 1_843_200
@@ -24,7 +24,7 @@ _LSR = ("data ready", "overrun", "parity", "framing", "break", "THR empty", "all
 _IIR = {1: "none", 6: "line status", 4: "data", 12: "time-out", 2: "THR empty", 0: "modem"}
 
 
-class UART(Compiled):
+class UART(CompiledDevice):
     """A 16550.
 
     Args:

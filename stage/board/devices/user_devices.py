@@ -15,7 +15,7 @@ from stage.board import firmware_library
 from stage.board.bus.host_record import IN8, OUT8, OUT16
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
-from stage.board.temporary_folders import Scratch
+from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 from stage.support.files import FileError, refuse_irregular
@@ -104,21 +104,25 @@ class CDevice(UserDevice):
         super().__init__(name, encoders, width)
         self.describe = describe
         if firmware_library.are_sources(source):  # built into a folder of its own, which goes with the device
-            self._scratch = Scratch()
+            self._scratch = TemporaryFolder()
             first = source if isinstance(source, str | os.PathLike) else source[0]
             self.path = firmware_library.build(source, self._scratch.path / f"{Path(first).stem}.so", flags)
         elif isinstance(source, str | os.PathLike):
             self.path = Path(source)
         else:
             raise ArgumentError(f"source={source!r}: give one library, or a list of C or C++ sources.")
-        self._loaded_from = Scratch()  # a copy of its own, which debuggers and messages about crashes find there
+        self._loaded_from = (
+            TemporaryFolder()
+        )  # a copy of its own, which debuggers and messages about crashes find there
         self.loaded = self._loaded_from.path / f"device-{self.path.name}"
-        self._library = _load(self.path, self.loaded, source)
+        self._library = _load_copy(self.path, self.loaded, source)
         size = ctypes.c_uint32.in_dll(self._library, "pulsestage_device_size").value
         if not size <= MAX_STATE_BYTES:
             raise LibraryError(f"{self.path}: a state of {size:,} bytes; a device has at most {MAX_STATE_BYTES:,}.")
         self.state = [np.zeros(-(-size // 8), np.int64)]
-        self.access, self.pulls = (_address(self._library, f"pulsestage_device_{name}") for name in ("access", "pulls"))
+        self.access, self.pulls = (
+            _find_function_address(self._library, f"pulsestage_device_{name}") for name in ("access", "pulls")
+        )
 
     @property
     def label(self) -> str:
@@ -126,11 +130,12 @@ class CDevice(UserDevice):
         return f"{self.name} ({self.path.name})"
 
     def make_recipe(self) -> tuple[Any, ...]:
-        """Return a function that loads the library again in any process."""
+        """Return a function and its arguments that load the library again in any process."""
         return (_rebuild, str(self.path), self.name, self.encoders, self.width)
 
 
 def _rebuild(path: str, name: str, encoders: Sequence[Encoder], width: int) -> CDevice:
+    """Create the device from its library again."""
     return CDevice(path, name=name, encoders=encoders, width=width)
 
 
@@ -147,8 +152,8 @@ def _check_state(state: Any) -> np.ndarray:
     return state
 
 
-def _load(path: Path, copy: Path, source: Any) -> ctypes.CDLL:
-    """Load a copy of a library, which has its own static variables.
+def _load_copy(path: Path, copy: Path, source: Any) -> ctypes.CDLL:
+    """Load a copy of a library, so that it has its own static variables.
 
     Args:
         path: The library.
@@ -177,5 +182,6 @@ def _load(path: Path, copy: Path, source: Any) -> ctypes.CDLL:
     return loaded
 
 
-def _address(loaded: ctypes.CDLL, name: str) -> int:
+def _find_function_address(loaded: ctypes.CDLL, name: str) -> int:
+    """Return the address of an exported function of a library; 0 if the library has none of this name."""
     return ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value or 0

@@ -1,5 +1,6 @@
-"""Firmware in a process of its own, so that its crash is an error and a loop without end can be ended.
+"""Firmware in a separate process, so that its crash becomes an error and an endless loop can be ended.
 
-`process_runner` is the board's side, `starter` begins the process, `child` is what it runs, `shared_memory` is what both see.
-`traps` changes the child, and nothing but the child, so that crashes, sleeps and memory-mapped accesses of firmware are noticed.
+`process_runner` is the board's side, `process_starter` starts the process, `firmware_process` is its main program, and both sides
+use `shared_memory`. `traps` changes only the separate process, so that crashes, sleeps and memory-mapped accesses of firmware are
+noticed.
 """

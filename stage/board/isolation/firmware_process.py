@@ -50,9 +50,11 @@ POLL_INTERVAL_MS = (
 )
 
 
-class Samples:
-    """Buffers for samples of the engine, which the parent copies into its recording. The stage uses them like a
-    recording."""
+class SampleBuffers:
+    """Buffers into which the engine writes samples and which the parent copies to its recording.
+
+    The stage uses them like a recording.
+    """
 
     REQUIRES_FORWARD_TIME = True
 
@@ -65,14 +67,16 @@ class Samples:
 
 
 class ChildLink(Link):
-    """Link that writes its notes to shared memory, lets the parent read them before the memory is full, and lets the
-    parent call Python."""
+    """Link that writes edges, cycles and samples to shared memory and lets the parent execute calls of Python.
+
+    Before the memory is full, it lets the parent read it.
+    """
 
     def __init__(self, board: Board, pipe: Connection, shared_path: str):
         super().__init__(board)
         self._pipe = pipe
         self.shared = shared = SharedMemory(shared_path, board)
-        self.samples = Samples(shared)
+        self.samples = SampleBuffers(shared)
         self.checked = 0
         self.use_record(shared.record)
         self.hooks.use_table(shared.sources)
@@ -97,14 +101,14 @@ class ChildLink(Link):
         return self.checked
 
     def end_run(self) -> None:
-        """Flush samples and notes if their memory is nearly full."""
+        """Flush samples and edges if their memory is nearly full."""
         h = self.record
         self.samples.filled = int(h["filled"])
         if h["noted"] > NOTED // 2 or self.samples.filled == len(self.samples.samples):
             self.flush()
 
     def publish_state(self) -> NoteCounts:
-        """Write the state to shared memory; return the numbers of notes there and begin new ones."""
+        """Write the state to shared memory; return the numbers of edges and samples there, and start counting them anew."""
         h = self.record
         noted = NoteCounts(int(h["noted"]), int(h["filled"]))
         self.stage.copy_state(self.shared.state)
@@ -113,7 +117,7 @@ class ChildLink(Link):
         return noted
 
     def flush(self) -> None:
-        """Wait until the parent has read all notes."""
+        """Wait until the parent has read all edges and samples."""
         self._pipe.send(self.publish_state())
         self._pipe.recv()
 
@@ -126,6 +130,7 @@ class ChildLink(Link):
         return bool(self._call_parent(chip, address, value))
 
     def _call_parent_hook(self, source: int) -> None:
+        """Let the parent call a hook in Python."""
         self._call_parent(-1 - source, 0, 0)
 
     def set_hooks(self, sources: tuple[int, ...]) -> None:
@@ -137,6 +142,7 @@ class ChildLink(Link):
         hooks.point_to_python(sources, keep=of_firmware)
 
     def _call_parent(self, chip: int, address: int, value: int, kind: int = -1) -> int:
+        """Send a request to the parent, wait for its answer, and continue from the parent's state."""
         self._pipe.send(ParentCallRequest(self.publish_state(), chip, address, value, kind))
         answer, succeeded, machine, hooks = self._pipe.recv()
         if machine is not None:
@@ -162,7 +168,7 @@ class ChildBoard(Board):
             self.attach_device(make(*arguments), ports)
         self.link = ChildLink(self, pipe, start.shared)
         self.link.shared.hide_from_forks()
-        self.link.shared.remember()
+        self.link.shared.remember_constant_fields()
 
     def add_log_line(self, text: str) -> None:
         """Add a line to the log of the parent's board."""
@@ -172,26 +178,25 @@ class ChildBoard(Board):
             self.link.flush()
             self.link.shared.add_log_line(self.stage.now, text)
 
-    def prepare_run(self, go: RunOrder) -> None:
+    def prepare_run(self, order: RunOrder) -> None:
         """Copy the parent's state and settings before the firmware continues."""
-        link, stage, self._lines = self.link, self.stage, go.lines
-        if go.machine is not None:
-            copy_settings(stage, pickle.loads(go.machine))
+        link, stage, self._lines = self.link, self.stage, order.lines
+        if order.machine is not None:
+            copy_settings(stage, pickle.loads(order.machine))
         stage.load_state(link.shared.state)
-        self.port_table[:] = go.ports
-        stage.state.clockwork[0].sample_every = go.sample_every
-        stage.loop.recording = link.samples if go.sample_every else None
-        link.checked = go.checked_chips
-        link.set_hooks(go.hooks)
+        self.port_table[:] = order.ports
+        stage.state.clockwork[0].sample_every = order.sample_every
+        stage.loop.recording = link.samples if order.sample_every else None
+        link.checked = order.checked_chips
+        link.set_hooks(order.hooks)
 
 
 class ChildRunner(ThreadRunner):
-    """Runner of firmware in a thread of its own process: it logs sleeps, and treats threads that outlive the firmware
-    as errors."""
+    """Runner of firmware in the separate process. It logs sleeps, and treats threads that outlive the firmware as errors."""
 
     isolated, outlives = True, ""
 
-    def _check(self) -> None:
+    def _check_loadable(self) -> None:
         """Load the firmware for the first run."""
         self._checked: LoadedProgram | None = super()._load()
 
@@ -214,8 +219,9 @@ class ChildRunner(ThreadRunner):
         )
 
     def _locate(self, *libraries: Path) -> str:
+        """Return a sentence about where the firmware computes."""
         pc, top = traps.find_position(self._thread) if crash_report.IS_SUPPORTED else (0, 0)
-        return f" It is in {crash_report.locate(pc, top, *libraries)}." if pc else ""
+        return f" It is in {crash_report.locate_code(pc, top, *libraries)}." if pc else ""
 
     def _note_sleep(self, call: str) -> None:
         """Log that the firmware sleeps in real time, once for each function and run. Runs in the firmware's thread."""
@@ -240,23 +246,24 @@ class ChildRunner(ThreadRunner):
             time.sleep(THREAD_START_S)
 
 
-def copy_settings(ours: Stage, stage: Stage) -> None:
-    """Copy settings of the parent's stage that are not part of the state.
+def copy_settings(target: Stage, source: Stage) -> None:
+    """Copy settings that are not part of the state from one stage to another.
 
     Args:
-        ours: Stage of this process.
-        stage: Stage of the parent.
+        target: Stage of this process.
+        source: Stage of the parent.
     """
-    for part, name, value in iterate_settings(stage.model):
-        target = ours.model if part is stage.model else ours.model.opt
+    for part, name, value in iterate_settings(source.model):
+        own_part = target.model if part is source.model else target.model.opt
         if isinstance(value, np.ndarray):
-            np.copyto(getattr(target, name), value)
-        elif value != getattr(target, name):
-            setattr(target, name, value)
-    ours.state.switch_table[:] = stage.state.switch_table
+            np.copyto(getattr(own_part, name), value)
+        elif value != getattr(own_part, name):
+            setattr(own_part, name, value)
+    target.state.switch_table[:] = source.state.switch_table
 
 
 def _load_board(board: bytes) -> tuple[Any, dict[str, Any], list[Any]]:
+    """Unpickle the stage, the options of the board and its devices."""
     try:
         return pickle.loads(board)
     except Exception as error:
@@ -286,6 +293,7 @@ def _remove_files(start_messages: list[StartMessage]) -> None:
 
 
 def _is_open(fileno: int) -> bool:
+    """Return whether a file descriptor is open."""
     try:
         os.fstat(fileno)
     except OSError:
@@ -304,8 +312,8 @@ def _move_descriptor(fileno: int) -> int:
     return high
 
 
-def _offer_to_be_killed() -> None:
-    """Ask the system to kill this process first if memory runs out."""
+def _prefer_to_be_killed() -> None:
+    """Ask the system to kill this process before others if memory runs out."""
     with suppress(OSError), Path("/proc/self/oom_score_adj").open("w") as file:
         file.write("1000")
 
@@ -319,7 +327,7 @@ def main(fileno: int) -> None:
     threading.Thread(
         target=_exit_with_parent, args=(os.getppid(), fileno, start_messages), name="parent", daemon=True
     ).start()
-    _offer_to_be_killed()
+    _prefer_to_be_killed()
     pipe = Connection(fileno)
     start: StartMessage = pipe.recv()
     start_messages.append(start)
@@ -334,12 +342,12 @@ def main(fileno: int) -> None:
         pipe.send((type(error).__name__, str(error)))
         return
     try:
-        _serve(pipe, board, runner)
+        _execute_run_orders(pipe, board, runner)
     except EOFError:
         _remove_files(start_messages)
         raise
     except OSError:
-        board.link.shared.note_crash(crash_report.format_note(CLOSED))
+        board.link.shared.note_crash(crash_report.encode_crash_note(CLOSED))
         os._exit(1)
     except Exception:
         with suppress(CorruptedError):
@@ -348,8 +356,8 @@ def main(fileno: int) -> None:
         os._exit(1)  # the error means nothing; the parent finds out, too
 
 
-def _serve(pipe: Connection, board: ChildBoard, runner: ThreadRunner) -> None:
-    """Run the firmware each time the parent orders it."""
+def _execute_run_orders(pipe: Connection, board: ChildBoard, runner: ThreadRunner) -> None:
+    """Run the firmware each time the parent orders it, until the parent closes the pipe."""
     pipe.send(None)
     while True:
         go: RunOrder = pipe.recv()

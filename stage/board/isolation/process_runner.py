@@ -1,9 +1,9 @@
-"""`ProcessRunner`: firmware in a separate process. A crash of the firmware becomes an error here, and an endless loop
+"""`ProcessRunner`: firmware in a separate process. A crash of the firmware becomes an error in this process, and an endless loop
 can be ended.
 
-The child process drives a copy of the stage at full speed, and sends back its state and notes: edges, bus cycles,
-samples and log lines. The parent's stage thus has the same state to the bit, with recording, waveforms and diagnostics.
-After a crash the parent repeats the last bus cycles from the last state that it received.
+The child process drives a copy of the stage at full speed, and sends back its state with the edges, bus cycles, samples and log
+lines that it has recorded. The parent's stage thus has the same state to the bit, with recording, waveforms and diagnostics. After
+a crash the parent repeats the last bus cycles from the last state that it received.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from stage.board.isolation.shared_memory import (
     StartMessage,
 )
 from stage.board.pin_assignment import WiringFinding
-from stage.board.temporary_folders import Scratch
+from stage.board.temporary_folders import TemporaryFolder
 from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.journal_entries import LOST, READ, WRITE
 from stage.errors import StageError
@@ -98,6 +98,7 @@ class _Messages:
             raise InvalidMessageError from error
 
     def _take_message(self) -> bytes | None:
+        """Return the next complete message from the buffer; None if there is none yet."""
         content = self._content
         if len(content) < _HEAD.size:
             return None
@@ -113,17 +114,23 @@ class _Messages:
 
 
 class _StalledError(Exception):
-    """Error for a child without progress. Its argument tells whether the child handles timer signals."""
+    """Error: the child makes no progress. The argument tells whether the child handles timer signals."""
 
 
 class ProcessRunner:
-    """`Runner` of firmware in a separate process."""
+    """`Runner` of firmware in a separate process.
+
+    Args:
+        program: The firmware.
+        board: Board that the firmware drives.
+        patience: Seconds of real time without progress after which the process counts as stalled.
+    """
 
     def __init__(self, program: Program, board: Board, patience: float):
         if os.name != "posix":
             raise StageError("isolated=True needs a POSIX system; run the firmware in this process.")
         self._program, self._path, self._board, self._patience = program, program.path, board, patience
-        self._child: process_starter.Process | None = None
+        self._child: process_starter.ChildProcess | None = None
         self._pipe: Any = None
         self._running = False
         self.wiring_findings: tuple[WiringFinding, ...] = ()
@@ -174,7 +181,7 @@ class ProcessRunner:
             raise self._explain_crash(self._explain_giving_up(error)) from None
         except CorruptedError:
             self._end_child()
-            raise self._explain_spoiling("was ended") from None
+            raise self._explain_overwritten_memory("was ended") from None
         except BaseException:
             self._end_child()
             raise
@@ -208,15 +215,15 @@ class ProcessRunner:
             if isinstance(message, ParentCallRequest):
                 self._pipe.send(self._answer_call(message))
             else:
-                self._take_notes(message)
+                self._take_records(message)
                 self._pipe.send(None)
         if message.error is not None:
             self._end_child()
-        self._take_notes(message.noted)
+        self._take_records(message.noted)
         return message
 
     def _detach_from_owner(self, may_run: bool = False) -> None:
-        """Detach from the child and the shared memory, which belong to the process that this one was forked from."""
+        """Detach from the child and the shared memory in a fork of this process, because they belong to the original process."""
         ran, self._owner = self._running, os.getpid()
         self._child, self._running, self._machine = None, False, b""
         if ran and not may_run:
@@ -226,11 +233,11 @@ class ProcessRunner:
             )
 
     def _start(self) -> None:
-        """Start a child with a copy of the stage. Raises the error that loading the firmware raises there."""
+        """Start a child with a copy of the stage. Errors that loading the firmware raises in the child are raised here."""
         board = self._board
         content = _pickle_stage((board.stage, board.options, [(d.make_recipe(), d.ports) for d in board.devices]))
         self._devices = _list_devices(board)
-        self._scratch = Scratch()
+        self._scratch = TemporaryFolder()
         shared = self._scratch.path / "shared"
         ours, theirs = Pipe()
         try:
@@ -259,7 +266,7 @@ class ProcessRunner:
         if answer is not None:
             self._end_child()
             raise _make_error(*answer)
-        self._shared.remember()
+        self._shared.remember_constant_fields()
 
     def _pickle_if_changed(self) -> bytes | None:
         """Return the pickled stage if its settings differ from the child's, otherwise None."""
@@ -276,8 +283,8 @@ class ProcessRunner:
 
     # --- what comes over ---
 
-    def _take_notes(self, noted: NoteCounts) -> None:
-        """Take over the child's state and its notes since the last call."""
+    def _take_records(self, noted: NoteCounts) -> None:
+        """Take over the child's state, and the edges and samples that it has recorded since the last call."""
         board, shared, stage = self._board, self._shared, self._board.stage
         shared.check_notes(board, noted.edges, noted.samples, self._until)
         stage.load_state(shared.state)
@@ -297,7 +304,7 @@ class ProcessRunner:
     def _answer_call(self, call: ParentCallRequest) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
         """Call Python in this process for the child, which continues from the state after the call."""
         board, shared = self._board, self._shared
-        self._take_notes(call.noted)
+        self._take_records(call.noted)
         hooks, answer, machine = board.link.hooks, 0, None
         try:
             if call.kind >= 0:
@@ -323,6 +330,7 @@ class ProcessRunner:
         self._waited = self._patience + grace
 
         def check() -> None:
+            """Raise an error if the child has ended, or has made no progress within the patience."""
             nonlocal begin
             theirs = self._shared.record[0]
             now = tuple(int(theirs[name]) for name in ("cycles", "reached"))
@@ -339,6 +347,7 @@ class ProcessRunner:
     # --- errors in words ---
 
     def _explain_giving_up(self, error: Exception) -> str:
+        """Explain why this process has ended the child: it spoiled the connection, or made no progress."""
         if isinstance(error, InvalidMessageError):
             return (
                 "wrote into a file descriptor that it had not opened: that was the connection of its process with the stage, and "
@@ -353,6 +362,7 @@ class ProcessRunner:
         return f"has not got on for {self._waited:g} s of real time{why}, and was ended"
 
     def _explain_load(self, how: str) -> HostError:
+        """Return the error for a child that ended while the firmware was being loaded."""
         what = self._describe_crash()
         return HostError(f"{self._path.name} {how} while it was loaded, before PULSESTAGE_MAIN was called{what}.")
 
@@ -362,7 +372,7 @@ class ProcessRunner:
         try:
             self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
         except CorruptedError:
-            return self._explain_spoiling(f"{how}{self._describe_crash()}")
+            return self._explain_overwritten_memory(f"{how}{self._describe_crash()}")
         edges = self._shared.edges[: int(theirs["noted"])]
         self._repeat_cycles(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
@@ -379,9 +389,10 @@ class ProcessRunner:
     def _describe_crash(self) -> str:
         """Return the description of a crash from the child's note."""
         devices = (d.loaded for d in self._board.devices if isinstance(d, CDevice))
-        return crash_report.describe(self._shared.crash, self._path, *devices)
+        return crash_report.describe_crash(self._shared.crash, self._path, *devices)
 
-    def _explain_spoiling(self, how: str) -> HostError:
+    def _explain_overwritten_memory(self, how: str) -> HostError:
+        """Return the error for firmware that has overwritten the shared memory."""
         board = self._board
         return HostError(
             f"{self._path.name} has written over the memory by which its process tells what happens on the bus, and {how}. Does a "
@@ -441,6 +452,7 @@ def _read_faults(stage: Any) -> bytes:
 
 
 def _pickle_stage(stage: Any) -> bytes:
+    """Pickle a stage. Raises StageError if a class of its chips or layouts cannot be pickled."""
     try:
         return pickle.dumps(stage)
     except Exception as error:
@@ -451,12 +463,13 @@ def _pickle_stage(stage: Any) -> bytes:
 
 
 def _handles_timers(process: int) -> bool:
-    """Tell whether a process handles one of the signals of setitimer, alarm or timer_create."""
+    """Return whether a process handles one of the signals of setitimer, alarm or timer_create."""
     caught = int(read_status(process).get("SigCgt", "0"), 16)
     return any(caught >> number - 1 & 1 for number in (signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF))
 
 
 def _name_signal(number: int) -> str:
+    """Return the name of a signal by its number."""
     try:
         return f"{signal.Signals(number).name} ({signal.strsignal(number)})"
     except ValueError:

@@ -1,17 +1,17 @@
-"""Starts processes for firmware in milliseconds: one process has imported all that they need, and forks each of them.
+"""Starts processes for firmware in milliseconds: one starter process has imported all that they need, and forks each of them.
 
     process = start(pipe)          the process runs stage.board.isolation.firmware_process, with this end of a pipe
     process.kill()
     process.wait()                 its exit code; minus the number of the signal that ended it
 
-multiprocessing's forkserver does not fit: it imports the user's main module into each child, gives all of them the environment and
-the standard output of its own start, and does not notice that a child was stopped.
+multiprocessing's forkserver is unsuitable: it imports the user's main module into each child, gives all children the environment
+and the standard output that it had at its own start, and does not notice that a child was stopped.
 
 The starter begins with the first child and ends with this process. A child has the standard output, environment, folder and
-sys.path that this process has at its start.
+sys.path that this process has when the child starts.
 
-The starter is the parent of firmware, which may do anything to it. One that was ended, stopped, is traced, or does not answer
-within `ANSWER_LIMIT_S` is ended together with its children, and the next start makes another.
+The starter is the parent of firmware, which may harm it. A starter that has ended, is stopped or traced, or does not answer
+within `ANSWER_LIMIT_S` is ended together with its children, and the next start creates another one.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ ANSWER_LIMIT_S = 30.0  # real time; a starter imports all that children need bef
 _POLL_INTERVAL_S = 0.25  # between two checks whether a silent starter was stopped
 _FILES = 4  # that go with a start: pipe, status, standard output, standard error
 _lock = threading.Lock()
-_pending_kills: deque[tuple[Starter, int]] = deque()
-_starters: dict[tuple[int, str], Starter] = {}  # by process (a fork has its own), and what is loaded first
+_pending_kills: deque[tuple[ProcessStarter, int]] = deque()
+_starters: dict[tuple[int, str], ProcessStarter] = {}  # by process (a fork has its own), and what is loaded first
 SANITIZED = {
     "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",  # at its end the process does not tidy up, so all would be a leak
     "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1:abort_on_error=1",
@@ -65,15 +65,15 @@ class ProcessContext(NamedTuple):
     path: list[str]
 
 
-class Process:
+class ChildProcess:
     """A child of the starter.
 
     Attributes:
-        pid: Its number.
-        stopped: The signal that stopped it, so that it was ended, or 0.
+        pid: Process identifier.
+        stopped: Number of the signal that stopped the child, so that it was ended; or 0.
     """
 
-    def __init__(self, starter: Starter, status: socket.socket):
+    def __init__(self, starter: ProcessStarter, status: socket.socket):
         self._starter, self._status = starter, status
         self.pid: int = _HEAD.unpack(starter.read(status, _HEAD.size))[0]
         starter.children.add(self.pid)
@@ -81,12 +81,12 @@ class Process:
         self.stopped = 0
 
     def kill(self) -> None:
-        """End it, if it has not ended."""
+        """End the child, if it has not ended."""
         if self._code is None:
             self._starter.kill(self.pid)
 
     def wait(self, limit_s: float = ANSWER_LIMIT_S) -> int:
-        """Wait for its end; end it where it, or its starter, is silent for `limit_s` seconds of real time.
+        """Wait until the child ends. End it if it, or its starter, gives no sign for `limit_s` seconds of real time.
 
         Returns:
             Its exit code, or minus the number of the signal that ended it.
@@ -106,14 +106,15 @@ class Process:
         return self._code
 
     def _read_status(self, limit_s: float) -> int:
+        """Read the status of the child from its starter."""
         return int(_STATUS.unpack(self._starter.read(self._status, _STATUS.size, limit_s))[0])
 
 
-class Starter:
-    """The starter, as this process controls it.
+class ProcessStarter:
+    """Starter process, as this process controls it.
 
     Attributes:
-        children: Numbers of the children whose end nobody has waited for.
+        children: Identifiers of the children whose end nobody has waited for.
     """
 
     def __init__(self, preload: str = "") -> None:
@@ -133,11 +134,14 @@ class Starter:
             )  # fmt: skip
 
     def is_alive(self) -> bool:
-        """Tell whether it answers requests: it has not ended, and neither a signal nor a tracer has stopped it."""
+        """Return whether the starter can answer requests: it has not ended, and no signal or tracer has stopped it."""
         return self._process.poll() is None and not _is_stopped(self._process.pid)
 
     def end(self) -> None:
-        """End it and its children. A fork of this process ends nothing: these belong to the process that it comes from."""
+        """End the starter and its children.
+
+        In a fork of this process this does nothing, because they belong to the original process.
+        """
         if os.getpid() != self._owner:
             return
         if self._process.poll() is None:
@@ -148,11 +152,11 @@ class Starter:
         self._control.close()
 
     def read(self, source: socket.socket, size: int, limit_s: float = ANSWER_LIMIT_S) -> bytes:
-        """Read bytes that this starter sends.
+        """Read bytes that the starter sends.
 
         Raises:
             EOFError: The starter has ended.
-            TimeoutError: It was stopped, or has sent nothing for `limit_s` seconds of real time.
+            TimeoutError: The starter was stopped, or has sent nothing for `limit_s` seconds of real time.
         """
         content, until = b"", time.monotonic() + limit_s
         source.settimeout(_POLL_INTERVAL_S)
@@ -168,21 +172,24 @@ class Starter:
             content += more
         return content
 
-    def start(self, pipe: int) -> Process:
-        """Start a child with this end of a pipe."""
-        world = ProcessContext(dict(os.environ), _find_working_folder(), list(sys.path))
+    def start(self, pipe: int) -> ChildProcess:
+        """Start a child that gets this end of a pipe."""
+        context = ProcessContext(dict(os.environ), _find_working_folder(), list(sys.path))
         ours, theirs = socket.socketpair()
         with theirs:
             files = [pipe, theirs.fileno(), 1, 2]
             with _lock:
-                self.send(("start", world), files)
+                self.send(("start", context), files)
             _send_kills()
-        return Process(self, ours)
+        return ChildProcess(self, ours)
 
     def kill(self, pid: int) -> None:
-        """End a child. An object that is collected as garbage may call this at any moment, also while this thread sends a
-        message; the order is sent after that. A fork of this process ends nothing: these are children of the process that it
-        comes from."""
+        """End a child.
+
+        An object that is collected as garbage may call this method at any moment, even while this thread sends a message; the
+        order is then sent afterwards. In a fork of this process the method does nothing, because the children belong to the
+        original process.
+        """
         if os.getpid() != self._owner:
             return
         _pending_kills.append((self, pid))
@@ -196,7 +203,7 @@ class Starter:
 
 
 def _send_kills() -> None:
-    """Send the orders of `kill`; while another thread has the lock, that thread sends them after it has released the lock."""
+    """Send the orders of `kill`. While another thread holds the lock, that thread sends them after it has released the lock."""
     while _pending_kills and _lock.acquire(blocking=False):
         try:
             while _pending_kills:
@@ -207,7 +214,7 @@ def _send_kills() -> None:
             _lock.release()
 
 
-def start(pipe: int, preload: str = "") -> Process:
+def start(pipe: int, preload: str = "") -> ChildProcess:
     """Start a process that runs `stage.board.isolation.firmware_process` with this end of a pipe.
 
     Args:
@@ -215,7 +222,7 @@ def start(pipe: int, preload: str = "") -> Process:
         preload: Libraries that are loaded first.
 
     Raises:
-        OSError, EOFError: No starter, and no second one, can start a process.
+        OSError, EOFError: Neither the starter nor a second one can start a process.
     """
     try:
         return _find_starter(preload).start(pipe)
@@ -224,8 +231,8 @@ def start(pipe: int, preload: str = "") -> Process:
     return _find_starter(preload).start(pipe)
 
 
-def _find_starter(preload: str, silent: bool = False) -> Starter:
-    """Return the starter of this process; a new one where it does not run, or is `silent`."""
+def _find_starter(preload: str, silent: bool = False) -> ProcessStarter:
+    """Return the starter of this process. Create one if there is none, or if the present one is `silent`."""
     key = os.getpid(), preload
     with _lock:
         starter = _starters.get(key)
@@ -233,25 +240,26 @@ def _find_starter(preload: str, silent: bool = False) -> Starter:
             starter.end()
             starter = None
         if starter is None:
-            starter = _starters[key] = Starter(preload)
+            starter = _starters[key] = ProcessStarter(preload)
     _send_kills()
     return starter
 
 
 @atexit.register
 def _end_stopped_starters() -> None:
-    """End starters that were stopped: they would not notice the end of this process."""
+    """End starters that are stopped, because they would not notice the end of this process."""
     for (owner, _), starter in _starters.items():
         if owner == os.getpid() and not starter.is_alive():
             starter.end()
 
 
 def _is_stopped(pid: int) -> bool:
-    """Tell whether a signal or a tracer has stopped a process; False where the system does not tell."""
+    """Return whether a signal or a tracer has stopped a process; False if the system does not tell."""
     return read_status(pid).get("State", "")[:1] in ("T", "t")
 
 
 def _find_working_folder() -> str:
+    """Return the working directory, or a folder that exists if it was removed."""
     try:
         return str(Path.cwd())
     except OSError:
@@ -259,6 +267,7 @@ def _find_working_folder() -> str:
 
 
 def _read_exactly(source: socket.socket, size: int) -> bytes:
+    """Read `size` bytes. Raises EOFError if the other end is closed."""
     content = b""
     while len(content) < size:
         more = source.recv(size - len(content))
@@ -271,7 +280,7 @@ def _read_exactly(source: socket.socket, size: int) -> bytes:
 # --- the starter itself ---
 
 
-def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
+def _fork_on_request(control: socket.socket, run: Callable[[int], None]) -> None:
     """Fork and kill on request, and report ended children, until the other end is closed."""
     reader, writer = socket.socketpair()
     reader.setblocking(False)
@@ -310,7 +319,7 @@ def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
 
 
 def _report_children(children: dict[int, socket.socket]) -> None:
-    """Report children that have ended or were stopped; end the latter."""
+    """Report children that have ended or are stopped; end the stopped ones."""
     while children:
         pid, status = os.waitpid(-1, os.WNOHANG | os.WUNTRACED)
         if not pid:
@@ -336,7 +345,7 @@ def _kill_child(pid: int, ended: bool = False) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-def _become_child(world: ProcessContext, files: list[int], run: Callable[[int], None]) -> None:
+def _become_child(context: ProcessContext, files: list[int], run: Callable[[int], None]) -> None:
     """Turn this forked process into a child that runs firmware, and exit when the firmware has ended."""
     code = 1
     try:
@@ -350,9 +359,9 @@ def _become_child(world: ProcessContext, files: list[int], run: Callable[[int], 
             os.dup2(file, number)
             os.close(file)
         os.environ.clear()
-        os.environ.update(world.environment)
-        os.chdir(world.folder)
-        sys.path[:] = world.path
+        os.environ.update(context.environment)
+        os.chdir(context.folder)
+        sys.path[:] = context.path
         run(pipe)
         code = 0
     except (EOFError, BrokenPipeError):
@@ -365,12 +374,12 @@ def _become_child(world: ProcessContext, files: list[int], run: Callable[[int], 
 
 
 def main(fileno: int) -> None:
-    """Serve as the starter, by this end of a socket."""
+    """Run the starter with this end of a socket."""
     from stage.board.isolation import firmware_process
 
     gc.freeze()
     with socket.socket(fileno=fileno) as control:
-        _serve(control, firmware_process.main)
+        _fork_on_request(control, firmware_process.main)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ _LINE_BOUNDS = {
 
 
 class CorruptedError(Exception):
-    """Error for shared memory that firmware has overwritten."""
+    """Error: firmware has overwritten the shared memory."""
 
 
 LOADING = "loading"
@@ -97,7 +97,7 @@ class RunOrder(NamedTuple):
 
 
 class NoteCounts(NamedTuple):
-    """Numbers of EDGE records and samples in the shared file."""
+    """Numbers of EDGE records and samples in the shared file that the parent has not read."""
 
     edges: int
     samples: int
@@ -158,7 +158,7 @@ def _make_file(path: Path, size: int) -> None:
 
 
 def _is_within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
-    """Tell whether the fields of all rows are within bounds."""
+    """Return whether the fields of all rows are within bounds."""
     return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
 
 
@@ -231,7 +231,7 @@ class SharedMemory:
 
     # --- whether firmware has written over it ---
 
-    def remember(self) -> None:
+    def remember_constant_fields(self) -> None:
         """Store the constant fields of the child's HOST record, for `check`."""
         self._fixed = self.record[_FIXED].item()
 
@@ -242,7 +242,7 @@ class SharedMemory:
             raise CorruptedError
 
     def check_notes(self, board: Board, edges: int, samples: int, until: int, ended: bool = False) -> None:
-        """Validate the notes that the parent is about to read.
+        """Validate the edges and samples that the parent is about to read.
 
         Args:
             board: Board of the parent.
@@ -252,7 +252,7 @@ class SharedMemory:
             ended: Whether the child has ended; then the cycles and the trace are validated too.
 
         Raises:
-            CorruptedError: The child cannot have written these notes.
+            CorruptedError: The child cannot have written these records.
         """
         self.check()
         h, ours, timers = self.record[0], board.link.record, self.sources[TIMER_ROWS]
@@ -270,7 +270,7 @@ class SharedMemory:
             raise CorruptedError
 
     def _is_end_valid(self, traced: int, edges: int, latest: int) -> bool:
-        """Tell whether a child that has ended can have written the cycles, and the trace from line `traced` on."""
+        """Return whether a child that has ended can have written the cycles, and the trace from line `traced` on."""
         h = self.record[0]
         if not (0 <= h["reached"] <= latest and 0 <= h["ahead"] <= latest):
             return False
@@ -286,7 +286,7 @@ class SharedMemory:
     # --- a crash ---
 
     def note_crash(self, note: bytes) -> None:
-        """Store the note of a crash, which `crash_report.describe` reads."""
+        """Store the note of a crash, which `crash_report.describe_crash` reads."""
         self._crash[: min(len(note), CRASH_SIZE)] = note[:CRASH_SIZE]
 
     @property

@@ -1,12 +1,12 @@
-"""Catch what firmware does beside its requests: crashes, memory-mapped accesses, sleeps, threads, handlers of signals.
+"""Traps for what firmware does apart from its requests: crashes, memory-mapped accesses, sleeps, threads, signal handlers.
 
-All this changes the process that it happens in: it sets the slots of calls, handles signals in machine code, and emulates x86
-instructions behind a fault. So only the process that `stage.board.isolation` begins for firmware imports this package; firmware in
-the user's own process is a library loaded by ctypes, and nothing else. Needs 64-bit Linux, see `crash_report.IS_SUPPORTED`.
+All traps change the process in which they run: they replace slots of calls, handle signals in machine code, and emulate x86
+instructions after a fault. So only the process that `stage.board.isolation` starts for firmware imports this package. Firmware in
+the user's own process is only a library loaded by ctypes. Needs 64-bit Linux, see `crash_report.IS_SUPPORTED`.
 
-    watch_crashes(note)                    once: a crash leaves a note of what was touched, and by which calls
+    watch_crashes(note)                    once: a crash leaves a note of what was accessed, and by which calls
     library = TrappedLibrary(...)          firmware with windows of memory-mapped registers, whose sleeps and threads are reported
-    with trap_thread(on_sleep, on_thread): around its entry, in its thread
+    with trap_thread(on_sleep, on_thread): around its entry point, in its thread
     find_position(thread)                  where it computes
     redirect_calls(handle, functions)      let a library call other functions
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from stage.board.firmware_library import Library
 from stage.board.host_record_link import Link
-from stage.board.isolation.traps.memory_windows import Windows
+from stage.board.isolation.traps.memory_windows import MemoryWindows
 from stage.board.isolation.traps.signal_handlers import (
     SignalHandlers,
     allocate_signal_stack,
@@ -37,10 +37,10 @@ __all__ = ["TrappedLibrary", "block_timers", "find_position", "redirect_calls", 
 
 
 class TrappedLibrary(Library):
-    """A firmware library in its own process.
+    """Firmware library in the separate process of firmware.
 
     Raises:
-        ArgumentError: Something else is where a window is to be.
+        ArgumentError: The memory at the address of a window is in use.
         StageError: The system allows no windows; see also `Library`.
     """
 
@@ -48,7 +48,7 @@ class TrappedLibrary(Library):
         self._handlers = SignalHandlers()
         super().__init__(path, link, cost, lines)
         observe_calls(self.handle)
-        self._windows = link.windows = Windows(self, link)
+        self._windows = link.windows = MemoryWindows(self, link)
         try:
             for window in windows:
                 self._windows.map_window(window)
@@ -57,12 +57,12 @@ class TrappedLibrary(Library):
             raise
 
     def main(self) -> int:
-        """Call its entry in this thread."""
+        """Call the entry point in this thread."""
         self._windows.allow_stack()
         return super().main()
 
     def close(self) -> None:
-        """Unload it, with its windows and the handlers of signals that it has set."""
+        """Unload the library, with its windows and the signal handlers that it has set."""
         self._windows.close()
         self._handlers.remove_handlers(str(self.copy))
         super().close()

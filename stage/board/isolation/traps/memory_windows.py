@@ -1,7 +1,7 @@
-"""Windows in the memory of firmware: pages that nobody may touch, and the handler of the faults that an access to them raises.
+"""Windows in the memory of firmware: protected pages, and the handler of the faults that accesses to them raise.
 
-The handler (processor.py) makes bus cycles of the access and goes on behind it. Any other fault goes to the handler that was there
-before: that of crashes.
+The handler (x86_execution.py) turns the access into bus cycles and continues after it. Any other fault goes to the previous
+handler, which reports crashes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from stage.board.isolation.traps.signal_handlers import (
 )
 from stage.board.isolation.traps.sleep_calls import list_loaded_libraries
 from stage.board.isolation.traps.x86_instructions import TABLE
-from stage.board.memory_mapped_ports import PROXIES, Window, explain_missing, is_supported, parse_windows
+from stage.board.memory_mapped_ports import PROXIES, Window, explain_missing_windows, is_supported, parse_windows
 from stage.errors import ArgumentError, StageError
 from stage.native import array_at
 
@@ -53,7 +53,7 @@ _tables: list[np.ndarray] = []  # the handler in another thread may look at one 
 _thunks: list[int] = []
 
 
-class Windows:
+class MemoryWindows:
     """The windows of a firmware library in this process."""
 
     def __init__(self, library: Library, link: Link):
@@ -64,18 +64,18 @@ class Windows:
 
     @property
     def faults(self) -> int:
-        """Number of faults of this process that were accesses to windows: the handler goes on behind them as long as it can."""
+        """Number of faults of this process that were accesses to windows. One fault can cover several accesses in a row."""
         return int(_space["faults"][0])
 
     def map_anywhere(self, port: int, length: int) -> int:
-        """Claim a window at an address of our choice, and return the address.
+        """Claim a window at an address that the function chooses, and return the address.
 
         Raises:
             HostError, StageError: There is no such window, or no room for it.
         """
         request = f"ps_window({port:#x}, {length:#x})"
         if not is_supported():
-            raise HostError(f"{request}: {explain_missing(isolated=True)}")
+            raise HostError(f"{request}: {explain_missing_windows(isolated=True)}")
         try:
             size = parse_windows((0, port, length))[0].end
         except ArgumentError as error:
@@ -94,14 +94,14 @@ class Windows:
         raise HostError(f"{request}: there is no room for a window of this size.")
 
     def map_window(self, window: Window) -> None:
-        """Make accesses to a window bus cycles.
+        """Turn accesses to a window into bus cycles.
 
         Raises:
-            ArgumentError: Something else is there.
+            ArgumentError: The memory at the window's address is in use.
             StageError: There are too many windows, or the system allows none.
         """
         if not is_supported():
-            raise StageError(explain_missing(isolated=True))
+            raise StageError(explain_missing_windows(isolated=True))
         if window.address < MIN_ADDRESS:
             raise ArgumentError(
                 f"window {window}: the system lets nobody use addresses below {MIN_ADDRESS:X}h, where null pointers lead; "
@@ -127,7 +127,7 @@ class Windows:
         _install_handler()
 
     def close(self) -> None:
-        """Give the windows back."""
+        """Release the windows."""
         for begin, end in self._pages:
             _libc.munmap(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin))
         if self._pages:
@@ -135,12 +135,12 @@ class Windows:
             self._publish()
 
     def allow_stack(self) -> None:
-        """Let the handler touch the stack of this thread."""
+        """Allow the handler to access the stack of this thread."""
         if is_supported():
             self._memory.append((*_find_stack(), x86_execution.READABLE | x86_execution.WRITABLE | x86_execution.STACK))
 
     def _publish(self) -> None:
-        """Inform the handler of windows, their pages and memory."""
+        """Inform the handler of windows, their pages and accessible memory."""
         at = self._link.pointer
         rows = [(w.address, w.end, x86_execution.WINDOW, w.port, at) for w in self._windows]
         rows += [(begin, end, x86_execution.PAGE, 0, at) for begin, end in self._pages]
@@ -152,11 +152,17 @@ class Windows:
         _tables.append(spans)
         _space["spans"] = spans.ctypes.data
 
-    def explain_refusal(self, what: int, execute_instruction: int, address: int) -> HostError:
-        """Say why an instruction is no bus cycle. step: the address of its STEP."""
-        state: Any = array_at(execute_instruction, 1, x86_execution.INSTRUCTION)[0]
+    def explain_refusal(self, what: int, instruction_address: int, address: int) -> HostError:
+        """Return the error for an instruction that accesses a window but is no bus cycle.
+
+        Args:
+            what: NO_CYCLE or BEYOND_WINDOW.
+            instruction_address: Address of the INSTRUCTION record.
+            address: Address that was accessed.
+        """
+        state: Any = array_at(instruction_address, 1, x86_execution.INSTRUCTION)[0]
         start, top = int(state.start), ctypes.c_uint64.from_address(int(state.stack)).value
-        place = crash_report.locate(start, top, self._library.path)
+        place = crash_report.locate_code(start, top, self._library.path)
         access = f"{self._library.path.name}: an access to address {address:X}h in {place}"
         near = next((w for w in self._windows if w.address <= address < w.end), None)
         if what == host_record.BEYOND_WINDOW:
@@ -174,12 +180,13 @@ class Windows:
         )
 
     def _format_moment(self) -> str:
+        """Return the time, the number of bus cycles and the last lines of the trace, in words."""
         board = self._link.board
         return f"at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. {board.trace.format_ending(12)}"
 
 
 def _install_handler() -> None:
-    """Handle faults; the handler of before is called for those that are no accesses to windows."""
+    """Install the handler of faults. Faults that are no accesses to windows go to the previous handler."""
     if not _thunks:
         _space["opcodes"], _space["signal"] = TABLE.ctypes.data, _get_address(_libc.signal)
         _space["request"] = _get_address(requests.request.pointer)
@@ -191,20 +198,23 @@ def _install_handler() -> None:
 
 
 def _get_address(function: Any) -> int:
+    """Return the address of a ctypes function."""
     return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
 def _make_thunk() -> int:
-    """Make the handler in machine code: it gives `on_fault` its two records, of which STEP is on the stack, and jumps on to the
-    handler of before if that is asked for."""
+    """Make the handler in machine code, and return its address.
+
+    It calls `handle_fault` with an INSTRUCTION record on the stack, and jumps to the previous handler if that is requested.
+    """
     size = struct.pack("<i", -(-x86_execution.INSTRUCTION.itemsize // 16) * 16)
     previous = _space.ctypes.data + int(dict(x86_execution.SPACE.fields or {})["previous"][1])
     code = (
         b"\x57\x56\x52"  # push rdi, rsi, rdx
         + b"\x48\x81\xec" + size  # sub rsp, size
         + b"\x49\x89\xe0\x4d\x89\x00"  # mov r8, rsp; mov [r8], r8
-        + b"\x48\xb9" + struct.pack("<Q", _space.ctypes.data)  # mov rcx, the SPACE
-        + b"\x48\xb8" + struct.pack("<Q", _get_address(x86_execution.handle_fault.pointer))  # mov rax, on_fault
+        + b"\x48\xb9" + struct.pack("<Q", _space.ctypes.data)  # mov rcx, the SPACE record
+        + b"\x48\xb8" + struct.pack("<Q", _get_address(x86_execution.handle_fault.pointer))  # mov rax, handle_fault
         + b"\xff\xd0"  # call rax
         + b"\x48\x81\xc4" + size  # add rsp, size
         + b"\x5a\x5e\x5f"  # pop rdx, rsi, rdi
@@ -218,7 +228,7 @@ def _make_thunk() -> int:
 
 
 def _describe_use(begin: int, end: int) -> str:
-    """Say what lies at these addresses."""
+    """Describe what lies at these addresses."""
     for line in os.fsdecode(Path("/proc/self/maps").read_bytes()).splitlines():
         place, *rest = line.split(maxsplit=5)
         low, high = (int(n, 16) for n in place.split("-"))
@@ -228,7 +238,7 @@ def _describe_use(begin: int, end: int) -> str:
 
 
 def _list_memory(library: Library) -> list[tuple[int, int, int]]:
-    """Return code and data of a library and of those that were loaded with it, and its bus: begin, end, kind."""
+    """Return the code and data of a library, of those loaded with it, and its bus struct: begin, end, kind."""
     bus_struct = ctypes.addressof(library.bus)
     memory = [(bus_struct, bus_struct + ctypes.sizeof(library.bus), x86_execution.READABLE)]
     for base in (loaded.base for loaded in list_loaded_libraries(library.handle)):
@@ -251,13 +261,13 @@ def _list_memory(library: Library) -> list[tuple[int, int, int]]:
 
 
 def _convert_flags(flags: int) -> int:
-    """Convert the flags of a program header: 4 read, 2 write, 1 execute."""
+    """Convert the flags of an ELF program header (4 read, 2 write, 1 execute) to those of x86_execution."""
     names = ((4, x86_execution.READABLE), (2, x86_execution.WRITABLE), (1, x86_execution.CODE))
     return sum(kind for flag, kind in names if flags & flag)
 
 
 def _find_stack() -> tuple[int, int]:
-    """Return begin and end of the stack of this thread."""
+    """Return the begin and the end of the stack of this thread."""
     attributes, begin, size = (ctypes.c_uint64 * 8)(), ctypes.c_uint64(), ctypes.c_size_t()
     _libc.pthread_getattr_np(ctypes.c_void_p(_libc.pthread_self()), attributes)
     _libc.pthread_attr_getstack(attributes, ctypes.byref(begin), ctypes.byref(size))

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from stage.board.crash_report import TOUCHES, Crash, find_symbol, format_note
+from stage.board.crash_report import TOUCHES, Crash, encode_crash_note, find_symbol
 from stage.errors import StageError
 
 CRASHES = (*TOUCHES, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
@@ -31,7 +31,7 @@ whose bit 1 says that it wrote."""
 _NEAR_STACK = 1 << 16  # bytes
 _DEFAULT, _IGNORE = 0, 1
 WITH_INFO, NO_MASK, RESTART, ON_STACK = 4, 0x40000000, 0x10000000, 0x08000000  # flags of sigaction
-_FORKED = format_note("a process that it had forked crashed (it has no bus: only the firmware itself has)")
+_FORKED = encode_crash_note("a process that it had forked crashed (it has no bus: only the firmware itself has)")
 _HANDLER = ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
 _permanent: list[Any] = []  # objects that live as long as the process
 _position = (ctypes.c_uint64 * 2)()  # program counter, and the word on top of the stack
@@ -39,7 +39,7 @@ _position_handler = 0
 
 
 class SignalAction(ctypes.Structure):
-    """struct sigaction of glibc and musl."""
+    """The struct sigaction of glibc and musl."""
 
     _fields_ = (
         ("handler", ctypes.c_void_p), ("mask", ctypes.c_ulong * 16), ("flags", ctypes.c_int), ("restorer", ctypes.c_void_p),
@@ -47,28 +47,28 @@ class SignalAction(ctypes.Structure):
 
 
 class _Stack(ctypes.Structure):
-    """stack_t."""
+    """The struct stack_t."""
 
     _fields_ = (("begin", ctypes.c_void_p), ("flags", ctypes.c_int), ("size", ctypes.c_size_t))
 
 
 def get_action(number: int) -> SignalAction:
-    """Return how a signal is handled now."""
+    """Return the present handling of a signal."""
     action = SignalAction()
     ctypes.CDLL(None).sigaction(int(number), None, ctypes.byref(action))
     return action
 
 
 def set_action(number: int, action: SignalAction) -> None:
-    """Change how a signal is handled."""
+    """Set the handling of a signal."""
     ctypes.CDLL(None).sigaction(int(number), ctypes.byref(action), None)
 
 
 def make_executable(code: bytes) -> int:
-    """Put machine code into memory, for as long as the process lives, and return its address.
+    """Store machine code in memory for the rest of the process, and return its address.
 
     Raises:
-        StageError: The system lets no program make code.
+        StageError: The system does not allow programs to create code.
     """
     pages = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE)
     pages.write(code)
@@ -83,10 +83,10 @@ def make_executable(code: bytes) -> int:
 
 
 def watch_crashes(note: Callable[[bytes], None]) -> None:
-    """Note a crash of this process from now on; the signal then ends the process as it would have done.
+    """Report crashes of this process from now on. The signal then ends the process as it would have done.
 
     Args:
-        note: Called in the middle of the signal with a `Crash` as JSON.
+        note: Function that is called within the signal handler with a `Crash` as JSON.
     """
     libc = ctypes.CDLL(None)
     if not hasattr(libc, "backtrace"):
@@ -95,6 +95,7 @@ def watch_crashes(note: Callable[[bytes], None]) -> None:
     libc.backtrace(calls, MAX_DEPTH)  # the first call loads a library
 
     def handle(number: int, info: int, context: int) -> None:
+        """Report the crash, and restore the default handling of the signal."""
         libc.signal(number, None)
         if os.getpid() != owner:
             os.kill(owner, signal.SIGABRT)  # the run is to fail
@@ -117,7 +118,7 @@ def watch_crashes(note: Callable[[bytes], None]) -> None:
 
 
 def allocate_signal_stack() -> None:
-    """Give handlers of signals a stack of their own in this thread, for as long as the process lives."""
+    """Give signal handlers of this thread a stack of their own, for the rest of the process."""
     room = mmap.mmap(-1, STACK_SIZE)
     _permanent.append(room)
     begin = ctypes.addressof(ctypes.c_char.from_buffer(room))
@@ -125,7 +126,10 @@ def allocate_signal_stack() -> None:
 
 
 def _describe_crash(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
+    """Read from the records of a signal what has happened."""
+
     def word(at: int) -> int:
+        """Return the 64-bit word at an offset of the signal's context."""
         return int(ctypes.c_uint64.from_address(at).value)
 
     places = _CONTEXT.get(platform.machine(), {})
@@ -146,7 +150,7 @@ def _describe_crash(libc: Any, calls: Any, number: int, info: int, context: int)
 
 
 def _is_from_a_fork(number: int, info: int) -> bool:
-    """Tell whether another process has sent the signal, see `watch_crashes`."""
+    """Return whether another process has sent the signal, see `watch_crashes`."""
     code, sender = ctypes.c_int.from_address(info + _CODE).value, ctypes.c_int.from_address(info + _SENDER).value
     return number == signal.SIGABRT and code == 0 and sender != os.getpid()
 
@@ -155,10 +159,10 @@ def _is_from_a_fork(number: int, info: int) -> bool:
 
 
 def find_position(thread: threading.Thread | None) -> tuple[int, int]:
-    """Return the program counter of a thread and the word on top of its stack; (0, 0) where they cannot be had.
+    """Return the program counter of a thread and the word on top of its stack; (0, 0) if they cannot be found.
 
-    A signal has the thread note them, and it goes on. The handler is a few bytes of machine code, as the thread may be anywhere, in
-    malloc, too.
+    A signal makes the thread store them and continue. The handler consists of a few bytes of machine code, because the thread may
+    be anywhere, even in malloc.
     """
     global _position_handler
     if platform.machine() != "x86_64" or thread is None or thread.ident is None or not thread.is_alive():
@@ -183,6 +187,7 @@ def find_position(thread: threading.Thread | None) -> tuple[int, int]:
 
 
 def _make_position_handler() -> int:
+    """Make the signal handler of `find_position` in machine code, and return its address."""
     pc, sp = (_CONTEXT["x86_64"][name] for name in ("pc", "sp"))
     return make_executable(
         b"\x48\x8b\x82" + struct.pack("<i", pc)  # mov rax, [rdx + pc]: of the third argument, a ucontext_t
@@ -198,19 +203,19 @@ def _make_position_handler() -> int:
 
 
 def block_timers() -> None:
-    """Keep timers of the firmware from interrupting this thread: a handler that makes a bus cycle would break Python."""
+    """Block timer signals in this thread: a handler of the firmware that makes a bus cycle would break Python."""
     signal.pthread_sigmask(signal.SIG_BLOCK, TIMERS)
 
 
 def unblock_timers() -> None:
-    """Let timers interrupt this thread: the firmware's."""
+    """Allow timer signals in this thread, which runs the firmware."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, TIMERS)
 
 
 class SignalHandlers:
-    """Handlers of this process, as they are when the object is made: before a library is loaded.
+    """Signal handlers of this process at the time when the object is created, before a library is loaded.
 
-    A timer of the system (setitimer, alarm) that goes on would else call code that is gone, after firmware that has returned.
+    A system timer (setitimer, alarm) that outlives the firmware would otherwise call code that is no longer loaded.
     """
 
     def __init__(self) -> None:
@@ -218,7 +223,10 @@ class SignalHandlers:
         self._before = {number: get_action(number) for number in sorted(numbers)}
 
     def remove_handlers(self, file: str) -> None:
-        """Restore what handlers in this library have replaced; ignore a signal that nobody handled: it may still come."""
+        """Restore the handlers that a library has replaced.
+
+        A signal without a former handler is ignored, because it may still come.
+        """
         for number, before in self._before.items():
             handler = get_action(number).handler or 0
             if handler > _IGNORE and find_symbol(handler)[0] == file:

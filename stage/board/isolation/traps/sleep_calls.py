@@ -1,9 +1,11 @@
-"""Report calls by which firmware sleeps in real time, and wait for threads that it begins: through the slots of loaded libraries.
+"""Report calls by which firmware sleeps in real time, and wait for threads that it starts, through the call slots of loaded
+libraries.
 
-A library calls functions of others through slots that the loader fills in. `observe` sets the slots of some calls to functions of
-this module, which report the call and then make it. The libraries may be built in any way. The slots are read from memory, of all
-libraries that were loaded together and at each load, so a reader of ELF files (pyelftools) is of no use here. System calls without
-the C library are not seen.
+A library calls functions of others through slots that the loader fills in. `observe_calls` sets the slots of some calls to
+functions of this module, which report the call and then make it. The libraries may be built in any way. The slots of all libraries
+that were
+loaded together are read from memory at each load, so a reader of ELF files (pyelftools) would not help. System calls that bypass
+the C library are not noticed.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ _CALLS_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS, _RELOCATIONS_SIZE, _CALLS = 2, 5, 6
 
 
 class LoadedLibrary(ctypes.Structure):
-    """struct link_map: a library in memory."""
+    """The struct link_map: a library in memory."""
 
 
 LoadedLibrary._fields_ = [
@@ -43,7 +45,10 @@ LoadedLibrary._fields_ = [
 
 
 class _Observer(NamedTuple):
-    """Functions that are informed, and the process and the thread of the firmware; a process that it forks is not observed."""
+    """Functions that receive reports, and the process and thread of the firmware.
+
+    A process that the firmware forks is not observed.
+    """
 
     thread: tuple[int, int]
     on_sleep: Callable[[str], None]
@@ -55,11 +60,11 @@ _functions: dict[str, Any] = {}  # never freed: libraries that are never unloade
 
 
 def set_observer(on_sleep: Callable[[str], None] | None, on_thread: Callable[[], None] = lambda: None) -> None:
-    """Choose what observed calls of this thread are reported to, or None.
+    """Set the functions to which observed calls of this thread are reported.
 
     Args:
-        on_sleep: Called before the thread sleeps, with the call in words.
-        on_thread: Called after the thread has begun another one.
+        on_sleep: Function that is called before the thread sleeps, with the call in words; None: report nothing.
+        on_thread: Function that is called after the thread has started another one.
     """
     global _observer
     _observer = None if on_sleep is None else _Observer((os.getpid(), get_ident()), on_sleep, on_thread)
@@ -74,7 +79,7 @@ def list_loaded_libraries(handle: int) -> Iterator[LoadedLibrary]:
 
 
 def observe_calls(handle: int) -> None:
-    """Report calls that sleep or begin a thread, of the library with this handle and of those that were loaded with it."""
+    """Report calls that sleep or start a thread, made by the library with this handle and by those that were loaded with it."""
     for name in _THREAD_CREATORS | _SLEEPS.keys():
         if name not in _functions:
             _functions[name] = _CALL(_make_reporter(name))
@@ -83,7 +88,7 @@ def observe_calls(handle: int) -> None:
 
 
 def redirect_calls(handle: int, functions: Mapping[str, Any]) -> None:
-    """Let the library with this handle call other functions (of ctypes); they have to live as long as it does."""
+    """Let the library with this handle call other functions (of ctypes), which must exist as long as the library."""
     _redirect(next(list_loaded_libraries(handle)), functions)
 
 
@@ -91,6 +96,7 @@ def _make_reporter(name: str) -> Callable[..., int]:
     """Make a function that calls the system's function of this name and reports the call."""
 
     def call_and_report(*arguments: int) -> int:
+        """Report the call and make it."""
         observer = _observer if _observer is not None and _observer.thread == (os.getpid(), get_ident()) else None
         if observer is not None and name in _SLEEPS and (words := _SLEEPS[name](*arguments)):
             observer.on_sleep(words)
@@ -103,16 +109,16 @@ def _make_reporter(name: str) -> Callable[..., int]:
 
 
 def _redirect(library: LoadedLibrary, functions: Mapping[str, Any]) -> None:
-    """Set the slots by which a library calls these functions, unless it has functions of these names itself."""
+    """Set the slots by which a library calls these functions, unless the library defines functions of these names itself."""
     base, tags, at = library.base, {}, library.dynamic
     while tag := ctypes.c_int64.from_address(at).value:
         tags[tag] = ctypes.c_uint64.from_address(at + 8).value
         at += 16
-    names, symbols = (_absolute(tags.get(tag, 0), base) for tag in (_NAMES, _SYMBOLS))
+    names, symbols = (_make_absolute(tags.get(tag, 0), base) for tag in (_NAMES, _SYMBOLS))
     for table, size in ((_CALLS, _CALLS_SIZE), (_RELOCATIONS, _RELOCATIONS_SIZE)):
         if not tags.get(size):
             continue
-        raw: Any = (ctypes.c_char * tags[size]).from_address(_absolute(tags[table], base))
+        raw: Any = (ctypes.c_char * tags[size]).from_address(_make_absolute(tags[table], base))
         relocations = np.frombuffer(raw, _RELOCATION)
         numbers = relocations["info"] >> 32
         for number in np.unique(numbers[numbers > 0]).tolist():
@@ -123,12 +129,13 @@ def _redirect(library: LoadedLibrary, functions: Mapping[str, Any]) -> None:
                     _set_slot(base + offset, ctypes.cast(functions[name], ctypes.c_void_p).value or 0)
 
 
-def _absolute(address: int, base: int) -> int:
-    """Return an address in memory: some loaders make the addresses of a dynamic section absolute, others leave them."""
+def _make_absolute(address: int, base: int) -> int:
+    """Return an absolute address. Some loaders relocate the addresses of a dynamic section, others leave them relative."""
     return address if address >= base else base + address
 
 
 def _set_slot(slot: int, address: int) -> None:
+    """Write an address into a slot, whose page may be read-only."""
     page = slot // mmap.PAGESIZE * mmap.PAGESIZE
     if ctypes.CDLL(None).mprotect(ctypes.c_void_p(page), mmap.PAGESIZE, mmap.PROT_READ | mmap.PROT_WRITE) == 0:
         ctypes.c_uint64.from_address(slot).value = address

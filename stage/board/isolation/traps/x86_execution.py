@@ -1,9 +1,10 @@
-"""Executes one instruction of x86-64 on the registers that a signal has saved, compiled: accesses to windows become bus cycles.
+"""Execution of single x86-64 instructions on the registers that a signal has saved, compiled: window accesses become bus cycles.
 
-`on_fault` handles the fault of an access to a window. A signal takes as long as ten bus cycles, so it goes on with the instructions
-behind the access as long as it can: a loop that polls a register, or one that writes a table, then takes a single signal. An
-instruction that is not in the table, or needs memory that nobody knows here, is left to the processor, and nothing was done then.
-Memory that is no window is touched only where it is known to be there: the firmware's own code and data, and its stack.
+`handle_fault` handles the fault of an access to a window. A signal takes as long as ten bus cycles, so the function also executes
+the following instructions as long as it can. A loop that polls a register, or one that writes a table, then takes a single signal.
+An instruction that is not in the table, or that needs memory of unknown use, is left to the processor, with no effect so far.
+Memory
+outside of windows is accessed only if it is known to exist: the firmware's own code and data, and its stack.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ ADDRESS, REGS = 16, 40
 
 @hot
 def sign_extend(value, size):
-    """The low `size` bytes as a signed number."""
+    """Return the low `size` bytes of a value as a signed number."""
     if size == 8:
         return (((value >> 32 & 0xFFFFFFFF) ^ 0x80000000) - 0x80000000) << 32 | value & 0xFFFFFFFF
     top = 1 << (8 * size - 1)
@@ -74,44 +75,48 @@ def sign_extend(value, size):
 
 
 @hot
-def _find_place(n):
-    return PLACES >> 4 * n & 15
+def _find_place(number):
+    """Return the place of a register in the saved registers, from its number in instructions."""
+    return PLACES >> 4 * number & 15
 
 
 @hot
-def read_register(state, n, size):
-    """The value of register `n`, `size` bytes of it."""
+def read_register(state, number, size):
+    """Return the lowest `size` bytes of register `n`."""
     regs = array_at(state.regs, REGISTERS, _I8)
-    if size == 1 and state.rex == 0 and 4 <= n < 8:  # AH, CH, DH, BH
-        return sign_extend(int(regs[_find_place(n - 4)]) >> 8, 1)
-    return sign_extend(int(regs[_find_place(n)]), size)
+    if size == 1 and state.rex == 0 and 4 <= number < 8:  # AH, CH, DH, BH
+        return sign_extend(int(regs[_find_place(number - 4)]) >> 8, 1)
+    return sign_extend(int(regs[_find_place(number)]), size)
 
 
 @hot
-def write_register(state, n, size, value):
-    """Write register `n`. As on the processor, 4 bytes clear the upper half and fewer leave the rest."""
+def write_register(state, number, size, value):
+    """Write register `n`.
+
+    As on the processor, a write of 4 bytes clears the upper half, and a smaller one leaves the other bytes.
+    """
     regs = array_at(state.regs, REGISTERS, _I8)
     if size == 8:
-        regs[_find_place(n)] = value
+        regs[_find_place(number)] = value
     elif size == 4:
-        regs[_find_place(n)] = value & 0xFFFFFFFF
+        regs[_find_place(number)] = value & 0xFFFFFFFF
     elif size == 2:
-        regs[_find_place(n)] = int(regs[_find_place(n)]) & ~0xFFFF | value & 0xFFFF
-    elif state.rex == 0 and 4 <= n < 8:
-        regs[_find_place(n - 4)] = int(regs[_find_place(n - 4)]) & ~0xFF00 | (value & 0xFF) << 8
+        regs[_find_place(number)] = int(regs[_find_place(number)]) & ~0xFFFF | value & 0xFFFF
+    elif state.rex == 0 and 4 <= number < 8:
+        regs[_find_place(number - 4)] = int(regs[_find_place(number - 4)]) & ~0xFF00 | (value & 0xFF) << 8
     else:
-        regs[_find_place(n)] = int(regs[_find_place(n)]) & ~0xFF | value & 0xFF
+        regs[_find_place(number)] = int(regs[_find_place(number)]) & ~0xFF | value & 0xFF
 
 
 @hot
 def _on_stack(state, address, size):
-    """Tell whether this is memory of the stack that is there in any thread."""
+    """Return whether `size` bytes at an address are on the part of the stack that exists in any thread."""
     return state.floor <= address and address + size <= state.stack + ABOVE_STACK
 
 
 @hot
 def find_span(space, address):
-    """Return where the first SPAN with the address lies, or 0."""
+    """Return the address of the first SPAN that contains an address, or 0."""
     first, k = int(space.spans), 0
     spans = array_at(first, SPANS, SPAN)
     while spans[k].kind:
@@ -123,7 +128,7 @@ def find_span(space, address):
 
 @hot
 def _is_window(space, address):
-    """Tell whether an address lies in a window."""
+    """Return whether an address lies in a window."""
     at = find_span(space, address)
     return at != 0 and array_at(at, 1, SPAN)[0].kind & WINDOW != 0
 
@@ -153,7 +158,7 @@ def _make_cycle(space, span, address, size, value, writes):
 
 @hot
 def access_memory(state, space, address, size, value, writes):
-    """Read or write memory, by a bus cycle where it is a window; return what was read. Sets a status if it cannot be done."""
+    """Read or write memory, by a bus cycle if it is a window; return the value read. An impossible access sets the status."""
     if not _on_stack(state, address, size):
         at = find_span(space, address)
         if at == 0:
@@ -181,14 +186,17 @@ def access_memory(state, space, address, size, value, writes):
 
 @hot
 def read_code(state, size):
-    """Read the next bytes of the instruction, signed."""
+    """Read the next `size` bytes of the instruction, signed."""
     state.at += size
     return _load_signed(state.at - size, size)
 
 
 @hot
 def decode_modrm(state):
-    """Read the byte behind the opcode, and find where E lies. Return whether it is relative to the end of the instruction."""
+    """Decode the byte after the opcode, and find the address of operand E.
+
+    Return whether it is relative to the end of the instruction.
+    """
     code = read_code(state, 1) & 0xFF
     mode, rm = code >> 6, code & 7
     state.reg = code >> 3 & 7 | (state.rex & 4) << 1
@@ -219,7 +227,7 @@ def decode_modrm(state):
 
 @hot
 def read_operand(state, space, kind, size):
-    """Return the value of an operand; 0 with a status if it cannot be had."""
+    """Return the value of an operand; 0, with a status, if it cannot be read."""
     if kind == x86.E and state.memory:
         return access_memory(state, space, state.ea, size, 0, False)
     if kind in (x86.E, x86.R):
@@ -239,7 +247,7 @@ def read_operand(state, space, kind, size):
 
 @hot
 def write_operand(state, space, kind, size, value):
-    """Give an operand a value, or set a status."""
+    """Write an operand, or set a status if it cannot be written."""
     if kind == x86.E and state.memory:
         access_memory(state, space, state.ea, size, value, True)
     elif kind in (x86.E, x86.R):
@@ -254,7 +262,7 @@ def write_operand(state, space, kind, size, value):
 
 @hot
 def _set_flags(state, mask, carry, overflow, result):
-    """Compute the flags of a result; those of `mask` are to be set."""
+    """Store the flags of a result, of which those in `mask` will be written to the processor."""
     low = result & 0xFF
     low ^= low >> 4
     new = (CF if carry else 0) | (OF if overflow else 0) | (ZF if result == 0 else 0) | (SF if result < 0 else 0)
@@ -264,7 +272,7 @@ def _set_flags(state, mask, carry, overflow, result):
 
 @hot
 def is_condition_met(flags, condition):
-    """Tell whether a condition (of a jump, say) holds."""
+    """Return whether a condition, for example that of a jump, is met by the flags."""
     k = condition >> 1 & 7
     differ = (flags & SF != 0) != (flags & OF != 0)
     if k >= 6:
@@ -277,7 +285,7 @@ def is_condition_met(flags, condition):
 
 @hot
 def compute_sum(state, operation, left, right, size):
-    """Compute a sum, a difference or a bitwise operation."""
+    """Compute a sum, a difference or a bitwise operation, and its flags."""
     carry = overflow = False
     adjust, mask = 0, CF | PF | AF | ZF | SF | OF
     old = int(array_at(state.regs, REGISTERS, _I8)[FLAGS]) & CF
@@ -302,7 +310,7 @@ def compute_sum(state, operation, left, right, size):
 
 @hot
 def compute_shift(state, operation, left, count, size):
-    """Shift or rotate."""
+    """Compute a shift or a rotation, and its flags."""
     bits = 8 * size
     count &= 63 if size == 8 else 31
     state.mask = 0
@@ -333,7 +341,7 @@ def compute_shift(state, operation, left, count, size):
 
 @hot
 def change_bit(state, operation, left, number, size):
-    """Copy one bit to the carry, and set, reset or invert it."""
+    """Copy one bit to the carry flag, and set, reset or invert the bit."""
     one = 1 << number
     _set_flags(state, CF, left >> number & 1 == 1, False, 0)
     if operation == x86.BT:
@@ -348,7 +356,7 @@ _ROWS = x86.GROUPS + 8 * (x86.GROUP_DONE - x86.GROUP)
 
 @hot
 def _execute_string(state, space, operation, size):
-    """Execute MOVS or STOS, once or as often as RCX says."""
+    """Execute MOVS or STOS once, or as often as RCX says."""
     regs = array_at(state.regs, REGISTERS, _I8)
     if regs[FLAGS] & DF:
         state.status = LEFT
@@ -371,7 +379,7 @@ def _execute_string(state, space, operation, size):
 
 @hot
 def _execute_jump(state, space, operation, value):
-    """Execute a jump, or an instruction of the stack."""
+    """Execute a jump, or an instruction that uses the stack."""
     regs = array_at(state.regs, REGISTERS, _I8)
     top = int(regs[RSP])
     if operation in (x86.JMP, x86.JCC):
@@ -398,7 +406,7 @@ def _execute_jump(state, space, operation, value):
 
 @hot
 def _compute_move(state, operation, size, source_size, value, condition):
-    """Execute a move, or what is like one. Return what the target gets."""
+    """Compute the value that a move, or a similar instruction, writes to its target."""
     if operation == x86.MOVZX:
         return value & ((1 << 8 * source_size) - 1)
     if operation == x86.NOT:
@@ -422,6 +430,7 @@ def _compute_move(state, operation, size, source_size, value, condition):
 
 @hot
 def _execute_exchange(state, space, opcode, size, value):
+    """Execute XCHG."""
     other = read_operand(state, space, opcode.target, size)
     if state.status == DONE:
         write_operand(state, space, opcode.target, size, value)
@@ -431,7 +440,7 @@ def _execute_exchange(state, space, opcode, size, value):
 
 @hot
 def _execute_arithmetic(state, space, opcode, operation, size, value):
-    """Execute an instruction that calculates, on its target and a value."""
+    """Execute an arithmetic or logical instruction on its target and a value."""
     if x86.BT <= operation <= x86.BTC:
         if opcode.source == x86.IMM:
             value &= 8 * size - 1
@@ -452,7 +461,7 @@ def _execute_arithmetic(state, space, opcode, operation, size, value):
 
 @hot
 def _execute_decoded(state, space, opcode, operation, size, source_size, code):
-    """Execute a decoded instruction; its flags are in `s`."""
+    """Execute a decoded instruction; its flags are stored in `state`."""
     if operation >= x86.MOVS:
         _execute_string(state, space, operation, size)
         return
@@ -476,7 +485,7 @@ def _execute_decoded(state, space, opcode, operation, size, source_size, code):
 
 @hot
 def _read_opcode(state):
-    """Read prefixes and opcode of an instruction; 100h | opcode of one behind 0Fh."""
+    """Read the prefixes and the opcode of an instruction; the result is 100h | opcode for one after 0Fh."""
     code = read_code(state, 1) & 0xFF
     while True:
         if code == 0x66:
@@ -499,19 +508,24 @@ def _read_opcode(state):
 
 
 @hot
-def _read_immediate(state, n, size):
-    """Read the number in an instruction. n: see OPCODE."""
-    if n:
+def _read_immediate(state, length_code, size):
+    """Read the number in an instruction, whose length `n` is a code of OPCODE."""
+    if length_code:
         state.immediate = read_code(
-            state, size if n == x86.FULL else (4 if size > 4 else size) if n == x86.UP_TO_4 else n
+            state,
+            size
+            if length_code == x86.FULL
+            else (4 if size > 4 else size)
+            if length_code == x86.UP_TO_4
+            else length_code,
         )
-    if n == 8:  # it is an address
+    if length_code == 8:  # it is an address
         state.memory, state.ea = 1, state.immediate
 
 
 @hot
 def execute_instruction(state, space):
-    """Execute the instruction at RIP, and move RIP behind it; if `s.status` is not DONE, nothing was done."""
+    """Execute the instruction at RIP, and move RIP behind it. If `state.status` is not DONE, nothing has happened."""
     regs = array_at(state.regs, REGISTERS, _I8)
     state.start = state.at = regs[RIP]
     state.status, state.rex, state.memory, state.ea, state.mask, state.prefixes = DONE, 0, 0, 0, 0, 0
@@ -547,10 +561,11 @@ def execute_instruction(state, space):
 
 @exported("i4", "i4", "i8", "i8", SPACE, INSTRUCTION)
 def handle_fault(number, info, context, space, state):
-    """Handle a fault; return 0 for one that is no access to a window.
+    """Handle a fault; return 0 for a fault that is no access to a window.
 
-    int32_t on_fault(int32_t signal, siginfo_t *, ucontext_t *, SPACE *, STEP *): the thunk of memory.py calls it, with a STEP on
-    the handler's stack.
+    C prototype: int32_t handle_fault(int32_t signal, siginfo_t *, ucontext_t *, SPACE *, INSTRUCTION *). The thunk of
+        memory_windows.py
+    calls it with an INSTRUCTION record on the handler's stack.
     """
     address = int(array_at(info + ADDRESS, 1, _I8)[0])
     at, regs = find_span(space, address), array_at(context + REGS, REGISTERS, _I8)

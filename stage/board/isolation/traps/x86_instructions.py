@@ -1,7 +1,7 @@
-"""The instructions of x86-64 that an access to a window may be part of, or that stand between two of them: as a table.
+"""Table of the x86-64 instructions that may access a window, or that stand between two such accesses.
 
-`TABLE[opcode]`, of those that begin with 0Fh `TABLE[0x100 | opcode]`, says what an instruction does, to which target, from which
-source, with operands of how many bytes. What the byte behind the opcode decides is in `TABLE[GROUPS + 8 * group + reg]`.
+`TABLE[opcode]`, and `TABLE[0x100 | opcode]` for opcodes after 0Fh, says what an instruction does, its target, its source, and the
+size of its operands in bytes. If the byte after the opcode decides, the entry is in `TABLE[GROUPS + 8 * group + reg]`.
 (Intel 64 and IA-32 Architectures Software Developer's Manual, volume 2, appendix A.)
 """
 
@@ -74,9 +74,11 @@ MEMBERS = (
 
 
 def _make_table() -> np.ndarray:
+    """Build the table of OPCODE records."""
     table = np.zeros(GROUPS + 8 * (GROUP_DONE - GROUP), OPCODE)
 
     def put(opcode: int, operation: int, target: int, source: int, size: int, source_size: int, immediate: int) -> None:
+        """Store one entry."""
         modrm = E in (target, source) or G in (target, source) or opcode in (0x11E, 0x11F)
         by_address = immediate == 8  # it says the address of E itself
         table[opcode] = (operation, 1, modrm and not by_address, size, source_size, target, source, immediate)
