@@ -1,4 +1,4 @@
-"""`replay_capture`: a logic analyser's capture of a real controller, played into STEP/DIR axes of a stage.
+"""`replay_capture`: play the edges of a logic analyzer's capture of a real controller into STEP/DIR axes of a stage.
 
 stage = Stage("xyz", chips="stepdir", drives="drv8825")
 report = replay_capture(stage, "capture.vcd", "x.step=D2,x.dir=D5")
@@ -35,7 +35,7 @@ LISTED_EDGES = 10
 
 
 class SwitchEdge(NamedTuple):
-    """An edge of a limit or origin switch of the stage.
+    """Edge of a limit or origin switch of the stage.
 
     Attributes:
         time: Time since the begin of the capture, s.
@@ -49,7 +49,7 @@ class SwitchEdge(NamedTuple):
 
 
 class SwitchComparison(NamedTuple):
-    """A switch line of the capture beside that of the stage.
+    """Times of a switch line in the capture, compared with those of the stage's switch.
 
     Attributes:
         line: Name of the line, such as limit_plus.
@@ -69,18 +69,20 @@ class AxisReplay:
     """Report of one axis.
 
     Attributes:
-        axis: Name.
+        axis: Name of the axis.
         unit: "m", or "rad" on a hinge.
-        edges: Rising edges of STEP in the capture.
-        accepted: Steps that the power stage accepted.
-        disabled: Steps that came while ENABLE was not asserted.
-        start, position, commanded: Position of the carriage before and after, and according to the steps, m (rad on a hinge).
+        edges: Number of rising edges of STEP in the capture.
+        accepted: Number of steps that the power stage accepted.
+        disabled: Number of steps that came while ENABLE was not asserted.
+        start: Position of the carriage before the replay, m (rad on a hinge).
+        position: Position of the carriage afterwards, m (rad).
+        commanded: Position according to the accepted steps, m (rad).
         lost_steps: Full steps lost.
-        largest_error: Largest following error, m (rad on a hinge).
-        error_time: Its time since the begin of the capture, s.
+        largest_error: Largest following error, m (rad).
+        error_time: Time of the largest following error since the begin of the capture, s.
         switch_edges: Edges of the switches.
-        comparisons: Switch lines of the capture beside those of the stage.
-        violations: Times between edges that were too short for the power stage: a message, and how often, of each kind.
+        comparisons: Comparisons of the capture's switch lines with the stage's switches.
+        violations: Messages about times between edges that were too short for the power stage, each with its number of cases.
     """
 
     axis: str
@@ -129,6 +131,7 @@ class AxisReplay:
 
 
 def _describe_times(times: Sequence[float]) -> str:
+    """Return the number of times and the first of them, in words."""
     if not times:
         return "never asserted"
     often = "once," if len(times) == 1 else f"{len(times)} times, first"
@@ -141,7 +144,7 @@ class ReplayReport:
 
     Attributes:
         path: The file.
-        duration: From its first time to its last, s.
+        duration: Time from the begin to the end of the capture, s.
         axes: Report of each axis that has a line.
         absent: Lines of a board's wiring, such as y.step=D3, that were left out: the capture lacks them, or STEP of their axis.
     """
@@ -176,7 +179,13 @@ class ReplayReport:
 
 
 class _LineChanges(NamedTuple):
-    """Changes of a line of an axis: times since the begin of the capture, ns, and whether it is asserted from then on."""
+    """Changes of a line of an axis in the capture.
+
+    Attributes:
+        line: The line.
+        times: Times since the begin of the capture, ns.
+        asserted: Whether the line is asserted from each time on.
+    """
 
     line: PinLine
     times: np.ndarray
@@ -282,7 +291,7 @@ def _round_to_ns(times: Any, unit_ns: Fraction) -> Any:
 
 
 def _make_edges(stage: Stage, changes: Sequence[_LineChanges]) -> np.ndarray:
-    """Return LINE_EDGE records of driven lines in the order of their times; of one time STEP comes last."""
+    """Return LINE_EDGE records of the driven lines in the order of time. At equal times STEP comes last."""
     parts, is_step = [], []
     for line, times, asserted in changes:
         axis = stage.axes[line.axis]
@@ -308,8 +317,8 @@ def _report_axis(
         changes: Changes of its lines.
         observation: Observations of the stage.
         begin: Time at which the capture began, ns.
-        inputs: Its input pins then.
-        *before: Position, lost steps, accepted steps and violations then.
+        inputs: Input pins of the axis at that time.
+        *before: Position, lost steps, accepted steps and violations at that time.
     """
     start, lost_steps, accepted, violations = before
     state = axis.chip.state
@@ -359,7 +368,7 @@ def _list_switch_edges(axis: Axis, words: np.ndarray, times: np.ndarray) -> Iter
 
 
 def _compare_switch(axis: Axis, changes: _LineChanges, words: np.ndarray, times: np.ndarray) -> SwitchComparison:
-    """Compare a switch line of the capture with that of the stage; the other arguments are as of `_list_switch_edges`."""
+    """Compare a switch line of the capture with the switch of the stage. `words` and `times` are those of `_list_switch_edges`."""
     on = (words & changes.line.get_mask(axis.chip)) != 0
     return SwitchComparison(
         changes.line.line,
@@ -370,7 +379,7 @@ def _compare_switch(axis: Axis, changes: _LineChanges, words: np.ndarray, times:
 
 
 def _count_violations(axis: Axis, counts: np.ndarray) -> Iterable[tuple[str, int]]:
-    """Yield the message about each kind of time that was too short, and how often it was."""
+    """Yield a message about each kind of time that was too short, and the number of cases."""
     from stage.chips.stepdir.lint import TIMES
 
     for which, (rule, _) in TIMES.items():

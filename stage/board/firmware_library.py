@@ -21,7 +21,7 @@ import numpy as np
 from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
-from stage.board.firmware_pins import PIN_USE, find_findings, make_line_table
+from stage.board.firmware_pins import PIN_USE, find_firmware_wiring_findings, make_line_table
 from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
@@ -504,7 +504,7 @@ class Library:
         """Return the signs that lines of axes are at the wrong pins of the firmware."""
         if self._pin_use is None or not (self._lines or self._pin_use.view("u1").any()):
             return ()
-        return find_findings(self._table, self._lines, self._pin_use[0], self._link.stage)
+        return find_firmware_wiring_findings(self._table, self._lines, self._pin_use[0], self._link.stage)
 
     def _find_variable(self, c_type: Any, name: str) -> Any:
         """Return an exported variable of the library. Raises LibraryError if it has none of this name."""

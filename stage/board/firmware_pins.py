@@ -35,10 +35,10 @@ _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
 
 
 def parse_firmware_pins(texts: str | Iterable[str], stage: Stage) -> tuple[PinLine, ...]:
-    """Parse the lines of a stage's axes at pins: numbers, 2, or bits of ports, D2.
+    """Parse the lines of a stage's axes at pins of firmware: pin numbers (2) or bits of ports (D2).
 
     Raises:
-        ArgumentError: See `parse_pins`; also for another name of a pin.
+        ArgumentError: See `parse_pins`; also for another form of a pin's name.
     """
     lines = parse_pins(texts, {name: axis.chip for name, axis in stage.axes.items()})
     for line in lines:
@@ -59,7 +59,7 @@ def _parse_pin(line: PinLine) -> tuple[int, bool]:
 
 
 def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
-    """Return LINE records, sorted by chip."""
+    """Return the LINE records of the lines, sorted by chip."""
     table = np.zeros(len(lines), LINE)
     for place, (row, line) in enumerate(zip(table, lines, strict=True)):
         chip = stage.axes[line.axis].chip
@@ -70,12 +70,14 @@ def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
     return np.sort(table, order="chip", kind="stable")
 
 
-def find_findings(table: np.ndarray, lines: Sequence[PinLine], use: Any, stage: Stage) -> tuple[WiringFinding, ...]:
+def find_firmware_wiring_findings(
+    table: np.ndarray, lines: Sequence[PinLine], use: Any, stage: Stage
+) -> tuple[WiringFinding, ...]:
     """Return the signs that lines of axes are at the wrong pins of the firmware.
 
     Args:
         table: LINE records as the firmware has them.
-        lines: The lines, by their place.
+        lines: The lines, in the order of `table`.
         use: PIN_USE record of the firmware.
         stage: Stage with the axes.
     """

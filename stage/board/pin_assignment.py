@@ -39,14 +39,14 @@ _ENTRY = re.compile(r"(?P<axis>[^.=]+)\.(?P<line>[A-Za-z_]+)=(?P<invert>!?)(?P<p
 
 
 class PinLine(NamedTuple):
-    """One line of an axis at a pin.
+    """Line of an axis, and the pin to which it is connected.
 
     Attributes:
         axis: Name of the axis.
         line: Name of the line, of DRIVEN or READ.
         pin: Name of the pin, or of the signal of a capture.
         inverted: Whether the line is asserted while the pin is low.
-        is_preset: Whether the name of a board stands for it.
+        is_preset: Whether the line comes from the name of a board in PRESETS.
     """
 
     axis: str
@@ -59,20 +59,21 @@ class PinLine(NamedTuple):
         return f"{self.axis}.{self.line}={'!' if self.inverted else ''}{self.pin}"
 
     def get_mask(self, chip: Chip) -> int:
-        """Return the bits of a chip's input pins that the line stands for."""
+        """Return the bits that the line has among the input pins of a chip."""
         return sum(chip.INPUTS[name] for name in (DRIVEN | READ)[self.line])
 
 
 def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case: bool = False) -> tuple[PinLine, ...]:
-    """Parse the lines of axes at pins.
+    """Parse texts that connect lines of axes to pins.
 
     Args:
-        texts: One text or several: entries joined by commas, or names of PRESETS, of which the axes that the stage has count.
+        texts: One text or several: entries joined by commas, or names of PRESETS. Lines of a preset for axes that the stage does
+            not have are ignored.
         chips: Chip of each axis by the axis' name.
-        fold_case: Whether d2 is D2, as at a processor; signals of a capture keep their case.
+        fold_case: Whether d2 equals D2, as for the pins of a processor; signals of a capture keep their case.
 
     Returns:
-        The lines in the order of the text; an entry takes the place of that of a preset before it.
+        The lines in the order of the text. An entry replaces that of a preset before it.
 
     Raises:
         ArgumentError: Another form, an unknown axis or line, an axis whose chip has no such line, a line or a pin that is used
@@ -103,6 +104,7 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case:
 
 
 def _parse_entry(entry: str) -> PinLine:
+    """Parse one entry, AXIS.LINE=PIN. Raises ArgumentError for another form."""
     match = _ENTRY.fullmatch(entry)
     if match is None:
         presets = ", ".join(PRESETS)
@@ -113,7 +115,7 @@ def _parse_entry(entry: str) -> PinLine:
 
 
 def _check_replaced_line(old: PinLine | None, new: PinLine) -> None:
-    """Raise ArgumentError for a line that is written twice, with another pin."""
+    """Raise ArgumentError if two entries connect one line to different pins, and neither comes from a preset."""
     if old is not None and not (old.is_preset or new.is_preset or old.pin == NO_PIN) and old != new:
         raise ArgumentError(f"--pins: {old} and {new} are the same line. Give it one pin.")
 
@@ -145,7 +147,7 @@ def _check_pin_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
 
 
 def _check_pins(lines: Iterable[PinLine]) -> None:
-    """Raise ArgumentError for a pin that stands for two lines that cannot share it."""
+    """Raise ArgumentError if a pin is used for two lines that cannot share it."""
     users: dict[str, PinLine] = {}
     for line in lines:
         other = users.setdefault(line.pin, line)
@@ -157,12 +159,13 @@ def _check_pins(lines: Iterable[PinLine]) -> None:
 
 
 class WiringFinding(NamedTuple):
-    """A sentence about lines of axes that seem to be at the wrong pins.
+    """Sign that lines of axes are at the wrong pins.
 
     Attributes:
-        axis: Name of the axis; "" if it is about all of them.
-        text: The sentence.
-        is_problem: Whether the wiring is wrong. Otherwise the program may be right: it may never move this axis.
+        axis: Name of the axis; "" if the finding is about all axes.
+        text: The finding in one sentence.
+        is_problem: Whether the wiring is certainly wrong. Otherwise the program may be right, for example if it never moves this
+            axis.
     """
 
     axis: str
@@ -171,7 +174,7 @@ class WiringFinding(NamedTuple):
 
 
 class PinUse(NamedTuple):
-    """Use of the pin of a line that a program drives.
+    """Use of a line's pin by a program.
 
     Attributes:
         line: The line.
@@ -192,8 +195,8 @@ def find_wiring_findings(
 ) -> tuple[WiringFinding, ...]:
     """Return the signs that lines of axes are at the wrong pins of a program.
 
-    A lamp or a relay makes a few edges, and STEP many: a pin counts as a STEP pin in the wrong place if it rose MIN_RISES times as
-    often as the line that it is compared with.
+    A pin for a lamp or a relay has few edges, and a STEP pin has many. So a pin without a line counts as a STEP pin in the wrong
+    place if it rose MIN_RISES times as often as the line that it is compared with.
 
     Args:
         uses: Use of each line that the program drives.
@@ -213,7 +216,7 @@ def find_wiring_findings(
 
 
 def _find_unconnected_pins(others: Mapping[str, int], chips: Mapping[str, Chip]) -> tuple[WiringFinding, ...]:
-    """Return a finding about pins that a program drives while --pins names no STEP line, and nothing has moved an axis."""
+    """Return a finding about pins that a program drives if --pins names no STEP line and no axis has moved."""
     if not others or any(chip.net(k) for chip in chips.values() for k in range(chip.AXES)):
         return ()
     axes = [name for name, chip in chips.items() if "step" in chip.INPUTS]
@@ -229,7 +232,7 @@ def _find_unconnected_pins(others: Mapping[str, int], chips: Mapping[str, Chip])
 def _find_step_finding(
     step: PinUse, uses: Sequence[PinUse], others: Mapping[str, int], chip: Chip
 ) -> WiringFinding | None:
-    """Return the finding about the STEP line of an axis, or None; the other arguments are as of `find_wiring_findings`."""
+    """Return the finding about the STEP line of an axis, or None. The other arguments are those of `find_wiring_findings`."""
     axis, needed = step.line.axis, MIN_RISES * max(step.rises, 1)
     is_moving = any(use.rises for use in uses if use.line.line == "step" and use is not step)
     is_problem = not (step.line.is_preset and is_moving)

@@ -1,10 +1,11 @@
-"""Ends of a serial line outside simulated time: a pseudo-terminal and a TCP port, for terminal programs and G-code senders.
+"""Other ends of a serial line for programs outside of the simulation: a pseudo-terminal and a TCP port.
 
-Bytes move every EXCHANGE_NS of simulated time. When they come in depends on wall-clock time, so that two runs differ; a
-serial script (`stage.board.serial_script`) gives the same bits each time.
+Terminal programs and G-code senders connect to them. Bytes move every EXCHANGE_NS of simulated time. Their arrival depends on
+wall-clock time, so two runs differ; a serial script (`stage.board.serial_script`) gives the same bits each time.
 
-Before the first connection, the last bytes of the firmware are kept for whoever connects: a real board restarts when its port is
-opened, and its greeting then arrives. Later, bytes are lost while nobody is connected.
+Before the first connection, the last bytes of the firmware are kept for the program that connects: a real board restarts when its
+    port
+is opened, and its greeting then arrives. Later, bytes are lost while no program is connected.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ FORMS = "pty, pty:LINK (a link to the pseudo-terminal is made there) or tcp:PORT
 
 
 def open_end(text: str) -> PtyEnd | TcpEnd:
-    """Open the end that an option describes.
+    """Open the end of a serial line that an option describes.
 
     Args:
         text: pty, pty:LINK or tcp:PORT.
 
     Raises:
-        ArgumentError: It has another form, the port is in use, or the link exists.
+        ArgumentError: The text has another form, the port is in use, or the link exists.
         StageError: This system has no pseudo-terminals.
     """
     kind, _, rest = text.partition(":")
@@ -43,7 +44,7 @@ def open_end(text: str) -> PtyEnd | TcpEnd:
 
 
 class ConnectedEnd(SerialEnd):
-    """Base of ends that programs connect to and leave."""
+    """Base class of ends to which programs connect."""
 
     pausing_byte = NO_BYTE
     is_over = False
@@ -69,17 +70,20 @@ class ConnectedEnd(SerialEnd):
         return received
 
     def _is_connected(self) -> bool:
+        """Return whether a program is connected now."""
         raise NotImplementedError
 
     def _read(self, room: int) -> bytes:
+        """Return at most `room` bytes that the program has sent."""
         raise NotImplementedError
 
     def _write(self, content: bytes) -> int:
+        """Send bytes to the program, and return the number of bytes that it has taken."""
         raise NotImplementedError
 
 
 class PtyEnd(ConnectedEnd):
-    """Pseudo-terminal; programs open `path` like the device file of a serial port, and may close and open it again.
+    """Pseudo-terminal. Programs open `path` like the device file of a serial port, and may close and open it again.
 
     Args:
         link: Path of a symbolic link to the pseudo-terminal, or None.
@@ -112,6 +116,7 @@ class PtyEnd(ConnectedEnd):
             self._make_link(link)
 
     def _make_link(self, link: Path) -> None:
+        """Create the symbolic link. Raises ArgumentError if the path exists, unless it is a dead link."""
         try:
             if link.is_symlink() and not link.exists():
                 link.unlink()  # of a run that was killed
@@ -124,7 +129,7 @@ class PtyEnd(ConnectedEnd):
         self.path = str(link)
 
     def describe(self) -> str:
-        """Say where programs connect."""
+        """Describe how programs connect."""
         return self.path
 
     def _is_connected(self) -> bool:
@@ -185,14 +190,14 @@ class TcpEnd(ConnectedEnd):
         self.port = int(self._listener.getsockname()[1])
 
     def describe(self) -> str:
-        """Say where programs connect."""
+        """Describe how programs connect."""
         return f"{LOCALHOST}:{self.port}"
 
     def _is_connected(self) -> bool:
         return self._connection is not None
 
     def _accept(self) -> None:
-        """Take a new connection; the former one ends then, as its program may have died without a word."""
+        """Accept a new connection, and close the former one, whose program may have ended without closing it."""
         try:
             connection, _ = self._listener.accept()
         except BlockingIOError:
@@ -203,6 +208,7 @@ class TcpEnd(ConnectedEnd):
         self._connection = connection
 
     def _disconnect(self) -> None:
+        """Close the present connection."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None

@@ -1,11 +1,11 @@
-r"""`SerialLine`: the serial line of a host in memory; `SerialPort`: its other end in Python, `host.serial`.
+r"""`SerialLine`: the serial line of a host in memory. `SerialPort`: its other end in Python, `host.serial`.
 
     host.serial.write("$H\n")
     host.serial.read_until("ok", timeout=30)
     host.serial.expect(r"MPos:(-?[0-9.]+)")
 
-Bytes move while the firmware is paused, at a simulated time, so that the same script gives the same bits each time. Ends outside
-simulated time (a pseudo-terminal, a TCP port) are in `stage.board.serial_ends`.
+Bytes move while the firmware is paused, at a simulated time, so that the same script gives the same bits each time. Ends for
+programs outside of the simulation (a pseudo-terminal, a TCP port) are in `stage.board.serial_ends`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SerialLine:
         board: The board.
 
     Attributes:
-        rows: Array of one LINE record; for firmware in a separate process in memory that both processes share.
+        rows: Array of one LINE record. If the firmware runs in a separate process, both processes share this memory.
     """
 
     does_pause = True
@@ -78,7 +78,7 @@ class SerialLine:
     @property
     def free(self) -> int:
         """Number of bytes that can be fed now."""
-        return ROOM - self._count("fed", "removed")
+        return ROOM - self._count_bytes("fed", "removed")
 
     def feed(self, content: bytes) -> None:
         """Send bytes to the firmware, at most `free`."""
@@ -92,19 +92,22 @@ class SerialLine:
     def take(self) -> bytes:
         """Take all bytes that the firmware has sent since the last call."""
         line = self.record
-        count = self._count("sent", "read")
+        count = self._count_bytes("sent", "read")
         places = (int(line["read"]) % ROOM + np.arange(count)) % ROOM
         content = line["outgoing"][places].tobytes()
         line["read"] = line["sent"]
         return content
 
-    def _count(self, total: str, removed: str) -> int:
-        """Count the bytes of a direction; firmware may have overwritten the record."""
+    def _count_bytes(self, total: str, removed: str) -> int:
+        """Return the number of bytes waiting in one direction.
+
+        Firmware may have overwritten the record, so the number is limited.
+        """
         return min(max(int(self.record[total]) - int(self.record[removed]), 0), ROOM)
 
 
 class UartLine:
-    """Serial line that a 16550 on the bus forms; its buffers are those of the device.
+    """Serial line formed by a 16550 on the bus. Its buffers are those of the device.
 
     Args:
         uart: The device.
@@ -202,7 +205,7 @@ class SerialPort:
         self.exchange()
 
     def read(self) -> bytes:
-        """Return the bytes that the firmware has sent and that nobody has read, without letting time pass."""
+        """Return the bytes that the firmware has sent and that were not read before. No time passes."""
         content = bytes(self._unread)
         self._unread.clear()
         return content
@@ -223,7 +226,7 @@ class SerialPort:
         """
         wanted = to_bytes(end, "read_until")
         self._run_until(lambda: wanted in self._unread, timeout, repr(end), wanted[-1] if wanted else NO_BYTE)
-        return self._take(self._unread.index(wanted) + len(wanted), end)
+        return self._take_received(self._unread.index(wanted) + len(wanted), end)
 
     def expect(self, pattern: AnyStr | re.Pattern[AnyStr], timeout: float = 1.0) -> re.Match[AnyStr]:
         """Run the firmware until what it sends matches a regular expression; read up to the end of the match.
@@ -246,12 +249,13 @@ class SerialPort:
         kind = compiled.pattern
 
         def search() -> re.Match[AnyStr] | None:
+            """Return the match in the bytes received so far, or None."""
             return compiled.search(from_bytes(bytes(self._unread), kind))
 
         self._run_until(search, timeout, repr(kind))
         match = search()
         assert match is not None
-        self._take(match.end(), kind)
+        self._take_received(match.end(), kind)
         return match
 
     # --- for the host and its commands ---
@@ -322,7 +326,7 @@ class SerialPort:
 
     @property
     def _line(self) -> SerialLine | UartLine:
-        """The line of the first UART on the bus, otherwise that of the firmware's own."""
+        """The serial line in use: that of the first UART on the bus, or the firmware's own if there is no UART."""
         if self._uart_line is None:
             uart = next((device for device in self._host.board.devices if isinstance(device, UART)), None)
             if uart is None:
@@ -331,10 +335,10 @@ class SerialPort:
         return self._uart_line
 
     def _run_until(self, find: Callable[[], Any], timeout: float, wanted: str, pausing_byte: int = NO_BYTE) -> None:
-        """Run the firmware until `find()` is true, which is asked every POLL_NS and after each `pausing_byte`.
+        """Run the firmware until `find()` returns a true value. It is called every POLL_NS and after each `pausing_byte`.
 
         Raises:
-            RunTimeout: It has not come true.
+            RunTimeout: `find()` returned no true value in time.
         """
         self.check_is_wired()
         if self._end is not None:
@@ -358,7 +362,8 @@ class SerialPort:
             f"{describe_last_bytes(bytes(self._unread))}"
         )
 
-    def _take(self, count: int, like: AnyStr) -> AnyStr:
+    def _take_received(self, count: int, like: AnyStr) -> AnyStr:
+        """Remove `count` received bytes from the buffer, and return them in the type of `like`."""
         content = bytes(self._unread[:count])
         del self._unread[:count]
         return from_bytes(content, like)
@@ -372,7 +377,7 @@ def to_bytes(content: Any, name: str) -> bytes:
         name: Name of the function, for the error.
 
     Raises:
-        ArgumentError: It is neither.
+        ArgumentError: `content` is neither bytes nor such a text.
     """
     if isinstance(content, str):
         try:

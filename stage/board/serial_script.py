@@ -1,16 +1,16 @@
-r"""`SerialScript`: a serial line's other end as a file of commands in simulated time.
+r"""`SerialScript`: the other end of a serial line, as a file of commands in simulated time.
 
-    expect "Grbl 1.1h"        wait until the firmware sends this
-    send $H                   send a line; what follows, and a line feed
+    expect "Grbl 1.1h"        wait until the firmware sends this text
+    send $H                   send the rest of the line and a line feed
     timeout 30                simulated seconds that the next `expect` waits at most (default: 5)
     expect ok
-    send "\x18"                text in quotes is sent as it is, with the escapes of Python
+    send "\x18"                send a quoted text as it is, with the escapes of Python
     wait 500ms                let simulated time pass
     at 12.5                   wait until this time of the run
 
 A script that ends with `send` is over when the firmware has received the last byte.
 
-Each `expect` searches in what the firmware has sent since the end of the last match. The run is the same, bit for bit, each time.
+Each `expect` searches in the bytes that the firmware has sent since the end of the last match. Every run is the same, bit for bit.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ COMMANDS = ("send", "expect", "wait", "at", "timeout")
 
 
 @dataclass(frozen=True)
-class Command:
-    """One line of a script.
+class ScriptCommand:
+    """One command of a script.
 
     Attributes:
-        line: Number of the line.
+        line: Number of its line in the file.
         name: One of COMMANDS.
         text: Bytes of send and expect.
-        ns: Time of wait, at and timeout.
+        ns: Time of wait, at and timeout, ns.
     """
 
     line: int
@@ -67,7 +67,7 @@ def read_script(path: str | os.PathLike) -> SerialScript:
     return SerialScript(name, commands)
 
 
-def parse_command(name: str, number: int, line: str) -> Command | None:
+def parse_command(name: str, number: int, line: str) -> ScriptCommand | None:
     """Parse a line of a script; return None for an empty line or a comment.
 
     Args:
@@ -76,7 +76,7 @@ def parse_command(name: str, number: int, line: str) -> Command | None:
         line: The line.
 
     Raises:
-        ArgumentError: It is no command.
+        ArgumentError: The line is no command.
     """
     word, _, rest = line.strip().partition(" ")
     rest = rest.strip()
@@ -87,17 +87,17 @@ def parse_command(name: str, number: int, line: str) -> Command | None:
             f"{name}:{number}: {word!r} is no command of a serial script; known are {', '.join(COMMANDS)}."
         )
     if word in ("send", "expect"):
-        return Command(number, word, text=_parse_text(f"{name}:{number}", word, rest))
+        return ScriptCommand(number, word, text=_parse_text(f"{name}:{number}", word, rest))
     seconds = parse_quantity(rest, {"": 1.0} | OTHER_FACTORS["time"])
     if seconds is None or not 0 <= seconds < 1e9:
         raise ArgumentError(
             f"{name}:{number}: {line.strip()!r}: a simulated time is wanted, for example {word} 0.5 or {word} 500ms."
         )
-    return Command(number, word, ns=round(seconds * 1e9))
+    return ScriptCommand(number, word, ns=round(seconds * 1e9))
 
 
 def _parse_text(place: str, word: str, rest: str) -> bytes:
-    """Return the bytes of a text, quoted or not."""
+    """Return the bytes of a text, which may be quoted."""
     if rest[:1] not in ('"', "'"):
         if not rest and word == "expect":
             raise ArgumentError(f"{place}: what is expected? For example: expect ok")
@@ -127,7 +127,7 @@ def format_script(arrivals: list[tuple[int, bytes]], duration: int) -> str:
 
 
 class SerialScript(SerialEnd):
-    """Other end of a serial line that executes commands.
+    """Other end of a serial line that executes the commands of a script.
 
     Args:
         name: Name of the script, for errors.
@@ -137,7 +137,7 @@ class SerialScript(SerialEnd):
         ends_with_send: Whether the last command is `send`.
     """
 
-    def __init__(self, name: str, commands: list[Command]):
+    def __init__(self, name: str, commands: list[ScriptCommand]):
         self._name, self._unread = name, bytearray()
         self._due: int | None = None
         self._expected = b""
@@ -150,7 +150,7 @@ class SerialScript(SerialEnd):
 
     @property
     def pausing_byte(self) -> int:
-        """The last byte of what is expected."""
+        """Last byte of the text that the present `expect` waits for, or NO_BYTE."""
         return self._expected[-1] if self._expected else NO_BYTE
 
     @property
@@ -184,16 +184,16 @@ class SerialScript(SerialEnd):
         return now if self._is_over else self._due
 
     def describe_rest(self) -> str:
-        """Say what the script waits for."""
+        """Describe what the script still waits for."""
         if self._command.name == "send":
             return f"the firmware has not received {ROOM - self._room:,} of its bytes"
         return f"line {self._command.line} waits"
 
     def close(self) -> None:
-        """Do nothing: a script has opened nothing."""
+        """Do nothing, because a script opens nothing."""
 
-    def _execute(self, commands: list[Command]) -> Generator[bytes, None, None]:
-        """Yield what each command sends, or no bytes while it waits."""
+    def _execute(self, commands: list[ScriptCommand]) -> Generator[bytes, None, None]:
+        """Execute the commands one after the other; yield the bytes that they send, or no bytes while they wait."""
         timeout = round(TIMEOUT_S * 1e9)
         for command in commands:
             self._command = command
@@ -223,7 +223,8 @@ class SerialScript(SerialEnd):
             yield b""
         self._due = None
 
-    def _expect(self, command: Command, deadline: int, timeout: int) -> Generator[bytes, None, None]:
+    def _expect(self, command: ScriptCommand, deadline: int, timeout: int) -> Generator[bytes, None, None]:
+        """Wait until the firmware has sent the text of an `expect`; yield no bytes meanwhile. Raises HostError at the deadline."""
         self._expected, self._due = command.text, deadline
         while (at := self._unread.find(command.text)) < 0:
             if self._now >= deadline:

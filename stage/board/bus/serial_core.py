@@ -46,7 +46,7 @@ def peek_byte(line, now):
 
 @hot
 def remove_byte(line, now):
-    """Take the next byte that has arrived; return it, or NO_BYTE."""
+    """Remove the next byte that has arrived from the buffer and return it; NO_BYTE if there is none."""
     if count_arrived(line, now) <= 0:
         return NO_BYTE
     byte = line.incoming[line.removed % ROOM]
@@ -57,14 +57,14 @@ def remove_byte(line, now):
 
 @hot
 def set_rate(line, now, bits_per_second):
-    """Set the rate of the line, 0 for bytes that take no time; bytes on their way arrive at that rate from now on."""
+    """Set the rate of the line. At rate 0, bytes take no time. Bytes that are on their way arrive at the new rate."""
     line.byte_ns = BITS_PER_BYTE * SECOND // bits_per_second if bits_per_second > 0 else 0
     line.due = now + line.byte_ns
 
 
 @hot
 def put_byte(line, value):
-    """Put a byte of the firmware on the line; return whether the firmware is to pause after it."""
+    """Put a byte of the firmware on the line. Return whether the firmware must pause after it."""
     if line.sent - line.read >= ROOM:
         line.lost += 1
         return False

@@ -1,9 +1,10 @@
-"""16550 UART: a serial line whose other end is a test, or a terminal.
+"""16550 UART: a serial line whose other end is a test or a terminal.
 
 Registers of the data sheet (National PC16550D): RBR, THR, IER, IIR, FCR, LCR, MCR, LSR, MSR, SCR, DLL, DLM at +0 to +7; FIFOs of 16
-bytes. Characters take their time on the line, by divisor and LCR. Without a divisor nothing is sent (what is written is lost), and
-what the peer feeds waits. As in a PC the interrupt passes a driver that OUT2 of MCR enables. The peer is always ready (CTS, DSR,
-DCD), makes no errors of parity or framing and no breaks, and sends at the UART's own speed.
+bytes. A character takes the time that divisor and LCR determine. Without a divisor nothing is sent: written bytes are lost, and
+bytes of the peer wait. As in a PC, OUT2 of MCR enables the driver of the interrupt line. The peer is always ready (CTS, DSR, DCD),
+makes no
+parity or framing errors and no breaks, and sends at the UART's own speed.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ _IIR = {1: "none", 6: "line status", 4: "data", 12: "time-out", 2: "THR empty", 
 
 
 class UART(CompiledDevice):
-    """A 16550.
+    """16550 UART at eight ports.
 
     Args:
         clock: Frequency of its crystal, Hz.
-        name: What messages call it.
+        name: Name in messages.
 
     Raises:
-        ArgumentError: There is no such crystal.
+        ArgumentError: The frequency is out of range.
     """
 
     KIND = "uart"
@@ -148,6 +149,7 @@ class UART(CompiledDevice):
         lcr = 0
 
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:
+            """Explain one bus cycle."""
             nonlocal lcr
             name = _WRITTEN[n] if writes else _READ[n]
             if n == 3 and writes:
@@ -165,9 +167,11 @@ class UART(CompiledDevice):
         return describe
 
     def _written(self, begin: int, end: int) -> bytes:
+        """Return the bytes that the firmware has written, from number `begin` to number `end`."""
         sent = self.registers["sent"]
         return bytes(int(sent[k % uart_core.SENT_ROOM]) for k in range(begin, end))
 
     @property
     def _character_ns(self) -> int:
+        """Time of a character on the line, ns; 0 without a divisor."""
         return int(uart_core.compute_character_ns(self.state[0].view(uart_core.STATE)[0]))

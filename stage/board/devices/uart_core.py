@@ -1,7 +1,7 @@
-"""16550 UART, compiled: registers, FIFOs of 16, and the line in simulated time.
+"""16550 UART, compiled: registers, FIFOs of 16 bytes, and the line in simulated time.
 
-Bytes that a peer has sent wait in `incoming` and arrive one behind the other, a character's time each. What the firmware has
-written leaves likewise: when the last of it will have left says how many are still here.
+Bytes of the peer wait in `incoming` and arrive one after the other, each after the time of a character. Bytes of the firmware
+leave in the same way. The time at which the last of them will have left tells how many are still in the transmitter.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def compute_character_ns(state):
 
 @hot
 def count_unsent(state, now):
-    """Count the bytes in the transmitter, with the one on the line."""
+    """Return the number of bytes in the transmitter, including the one on the line."""
     c = compute_character_ns(state)
     return (state.left - now + c - 1) // c if state.left > now and c else 0
 
 
 @hot
 def _count_arrived(state, now):
-    """Count the bytes that have arrived by now and are not in the FIFO yet."""
+    """Return the number of bytes that have arrived at the time `now` and are not in the FIFO yet."""
     c = compute_character_ns(state)
     return (
         least(state.fed - state.taken, (now - state.due) // c + 1)
@@ -74,7 +74,7 @@ def _update(state, now):
 
 @hot
 def _identify_interrupt(state, now):
-    """Return IIR without the bits of the FIFO: the interrupt of the highest priority; 1: none."""
+    """Return the IIR without the bits of the FIFO: the pending interrupt of the highest priority, or 1 for none."""
     register, room, c = _count_arrived(state, now), FIFO if state.fcr & 1 else 1, compute_character_ns(state)
     level = state.waiting + register
     if state.ier & 4 and (state.oe or level > room):
@@ -91,21 +91,22 @@ def _identify_interrupt(state, now):
 
 @exported("i8", STATE, "i8", "i8")
 def pulls(state, now, counts):
-    """Return the output INTR, behind the driver that OUT2 enables."""
+    """Return whether the UART asserts INTR: an interrupt is pending, and OUT2 enables the driver of the line."""
     return 1 if state.mcr & 8 and _identify_interrupt(state, now) != 1 else 0
 
 
 @hot
 def _transmit(state, now, value):
-    register, room = count_unsent(state, now), FIFO + 1 if state.fcr & 1 else 2
+    """Put a byte into the transmitter, or return it to the receiver in loop mode."""
+    unsent, room = count_unsent(state, now), FIFO + 1 if state.fcr & 1 else 2
     if state.divisor == 0:  # no clock on the line
         return
-    if register >= room:  # no room: lost; without a FIFO the last byte is
+    if unsent >= room:  # no room: lost; without a FIFO the last byte is
         if room == 2:
             state.sent[(state.written - 1) % SENT_ROOM] = value
         return
     state.armed = 1
-    state.left = (state.left if register else now) + compute_character_ns(state)
+    state.left = (state.left if unsent else now) + compute_character_ns(state)
     if state.mcr & 16:  # loop
         if state.fed - state.taken < ROOM:
             if state.fed == state.taken:
@@ -119,7 +120,7 @@ def _transmit(state, now, value):
 
 @hot
 def _set_divisor(state, now, divisor):
-    """Change the speed, at which all that is still to arrive does so from now on."""
+    """Set the speed of the line. Bytes that have not arrived yet arrive at the new speed."""
     state.divisor = divisor
     if state.fed > state.taken:
         state.due = now + compute_character_ns(state)
@@ -127,7 +128,7 @@ def _set_divisor(state, now, divisor):
 
 @hot
 def _write(state, now, register, value):
-    """Write register `n`; with bit 7 of LCR the first two are the divisor."""
+    """Write a register. If bit 7 of LCR is set, the first two registers are the divisor."""
     if register < 2 and state.lcr & 0x80:
         _set_divisor(state, now, state.divisor & 0xFF00 | value if register == 0 else state.divisor & 0xFF | value << 8)
     elif register == 0:
@@ -148,6 +149,7 @@ def _write(state, now, register, value):
 
 @hot
 def _control_fifos(state, now, value):
+    """Write FCR, which enables and clears the FIFOs."""
     if value & 2 or (value ^ state.fcr) & 1:
         state.waiting = 0
     if value & 4 and count_unsent(state, now) > 1:
@@ -158,6 +160,7 @@ def _control_fifos(state, now, value):
 
 @hot
 def _receive(state, now):
+    """Return the next received byte (RBR) and remove it from the FIFO."""
     if state.waiting:
         state.rbr = state.fifo[state.first]
         state.first = (state.first + 1) % FIFO
@@ -168,20 +171,21 @@ def _receive(state, now):
 
 @hot
 def _line_status(state, now):
-    register, oe = count_unsent(state, now), state.oe
+    """Return LSR; the read clears the overrun bit."""
+    unsent, overrun = count_unsent(state, now), state.oe
     state.oe = 0
-    return (1 if state.waiting else 0) | oe << 1 | (0x20 if register <= 1 else 0) | (0x40 if register == 0 else 0)
+    return (1 if state.waiting else 0) | overrun << 1 | (0x20 if unsent <= 1 else 0) | (0x40 if unsent == 0 else 0)
 
 
 @hot
 def _modem_status(state):
-    """Return MSR: in the loop from the modem control register; else the peer is there and ready."""
+    """Return MSR. In loop mode it shows the modem control register; otherwise the peer is present and ready."""
     return (state.mcr & 2) << 3 | (state.mcr & 1) << 5 | (state.mcr & 12) << 4 if state.mcr & 16 else 0xB0
 
 
 @hot
 def _acknowledge(state, now):
-    """Read IIR, which ends the interrupt of an empty transmitter."""
+    """Return IIR; the read ends the interrupt of an empty transmitter."""
     code = _identify_interrupt(state, now)
     if code == 2:
         state.armed = 0
@@ -190,7 +194,7 @@ def _acknowledge(state, now):
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
 def access(state, now, counts, register, kind, value):
-    """Make a cycle at register `n`."""
+    """Execute a bus cycle at a register."""
     _update(state, now)
     if kind & 1:
         _write(state, now, register, value)

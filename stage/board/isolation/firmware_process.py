@@ -254,11 +254,11 @@ def copy_settings(target: Stage, source: Stage) -> None:
         source: Stage of the parent.
     """
     for part, name, value in iterate_settings(source.model):
-        own_part = target.model if part is source.model else target.model.opt
+        setting_owner = target.model if part is source.model else target.model.opt
         if isinstance(value, np.ndarray):
-            np.copyto(getattr(own_part, name), value)
-        elif value != getattr(own_part, name):
-            setattr(own_part, name, value)
+            np.copyto(getattr(setting_owner, name), value)
+        elif value != getattr(setting_owner, name):
+            setattr(setting_owner, name, value)
     target.state.switch_table[:] = source.state.switch_table
 
 
