@@ -49,8 +49,12 @@ def choose_chips_and_drives(
                 raise unknown_name_error("axis", name, known)
     plant.reserve_fitted_values(spec, names)
     axes = _make_chip_axes(chips, names, clock)
-    chosen = [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
-    return names, [_use_power_stage_chip(axis, drive) for axis, drive in zip(axes, chosen, strict=True)], chosen
+    axis_drives = [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
+    return (
+        names,
+        [_use_power_stage_chip(axis, drive) for axis, drive in zip(axes, axis_drives, strict=True)],
+        axis_drives,
+    )
 
 
 def _use_power_stage_chip(axis: ChipAxis, drive: Drive | Servo) -> ChipAxis:
