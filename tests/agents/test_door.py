@@ -3,6 +3,7 @@
 import asyncio
 import os
 import socket
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -11,8 +12,9 @@ pytest.importorskip("mcp")
 
 import uvicorn
 
+from stage import Stage
 from stage.agents.server import http, stdio
-from stage.agents.server.client_sessions import ClientSessions
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
 from stage.agents.server.http import HttpServer, TokenGate
 from stage.errors import StageError
 
@@ -313,3 +315,19 @@ def test_another_failure_of_the_transport_is_one_still(monkeypatch):
     monkeypatch.setattr(stdio.anyio, "run", run)
     with pytest.raises(BaseExceptionGroup):
         stdio.serve(None)
+
+
+def test_ctrl_c_over_stdio_opens_no_session_for_a_call_that_comes_in(monkeypatch):
+    made = []
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(
+        stdio, "ClientSessions", lambda *a, **options: made.append(ClientSessions(*a, **options)) or made[0]
+    )
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=interrupt))
+    with pytest.raises(KeyboardInterrupt):
+        asyncio.run(stdio._serve(ToolboxFactory(lambda: Stage("xy", visuals=False))))
+    with pytest.raises(StageError, match="The server ends"):
+        made[0].get_toolbox(stdio.SESSION_KEY)

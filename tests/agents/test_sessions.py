@@ -39,6 +39,17 @@ def test_each_session_has_a_separate_stage(maker):
     assert len(sessions) == 0
 
 
+def test_a_server_that_ends_opens_no_session_for_a_late_call(maker):
+    sessions = ClientSessions(maker)
+    sessions.get_toolbox("a")
+    sessions.close_all()
+    assert sessions.get_toolbox("b").stage.time == 0, "closed sessions alone end no server"
+    sessions.shut_down()
+    with pytest.raises(StageError, match="The server ends"):
+        sessions.get_toolbox("late")
+    assert len(sessions) == 0
+
+
 def test_the_first_stage_and_the_catalogue_stay_at_power_up(maker):
     sessions = ClientSessions(maker)
     sessions.get_toolbox("a").call("move", {"axis": "x", "pulses": 500})

@@ -108,6 +108,7 @@ class ClientSessions:
         self._open: dict[str, ClientSession] = {}
         self._ended: deque[str] = deque(maxlen=MAX_REMEMBERED)
         self._lock = threading.RLock()
+        self._is_shut_down = False
 
     def __contains__(self, key: str) -> bool:
         """Return whether the session is open and thus has a stage."""
@@ -120,11 +121,13 @@ class ClientSessions:
         """Return the toolbox of a session; open the session if it is new.
 
         Raises:
-            StageError: The session has ended, or too many are open.
+            StageError: The session has ended, too many are open, or the server ends.
         """
         with self._lock:
             session = self._open.get(key)
             if session is None:
+                if self._is_shut_down:
+                    raise StageError("The server ends, and opens no session any more. Start it again, then connect.")
                 if key in self._ended:
                     raise StageError(
                         "This session has ended: it was closed, silent for too long, or too old. Connect again; a new session "
@@ -176,6 +179,12 @@ class ClientSessions:
         for key in due:
             self.close(key)
         return len(due)
+
+    def shut_down(self) -> None:
+        """End all sessions and open no new ones, so that a call that has just come in does not delay the end of the server."""
+        with self._lock:
+            self._is_shut_down = True
+        self.close_all()
 
     def close_all(self) -> None:
         """End all sessions."""

@@ -135,7 +135,7 @@ class InterruptibleServer(uvicorn.Server):
         """Handle a signal; uvicorn calls this method."""
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # event streams break off now
-        threading.Thread(target=self._sessions.close_all, name="end of the sessions", daemon=True).start()
+        threading.Thread(target=self._sessions.shut_down, name="end of the sessions", daemon=True).start()
         super().handle_exit(sig, frame)
 
 

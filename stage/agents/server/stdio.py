@@ -46,7 +46,7 @@ async def _serve(factory: ToolboxFactory) -> None:
             group.start_soon(_relay_messages, reading, send, sessions)
             await server.run(receive, writing, server.create_initialization_options())
     finally:
-        sessions.close_all()
+        sessions.shut_down()
 
 
 class LineReader:
