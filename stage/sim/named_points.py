@@ -79,9 +79,9 @@ def find_judged_point(stage: Stage, axis: str, name: str | None) -> tuple[str, i
         raise unknown_name_error(
             f"site or body of judge_at that axis {axis} carries,", name, {name.split(" ", 1)[1] for name in carried}
         )
-    chosen_sites = {name: carried[f"site {name}"] for name in JUDGED_SITES if f"site {name}" in carried}
-    for name, (point, bodies) in chosen_sites.items():
+    judged_sites = {name: carried[f"site {name}"] for name in JUDGED_SITES if f"site {name}" in carried}
+    for name, (point, bodies) in judged_sites.items():
         joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in (bodies or [])]
         if not moved.issuperset(joints):
             return name, point
-    return next(((name, point) for name, (point, _) in chosen_sites.items()), ("", 0))
+    return next(((name, point) for name, (point, _) in judged_sites.items()), ("", 0))

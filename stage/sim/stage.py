@@ -112,14 +112,14 @@ class Stage:
         spec = plant.open_spec(model)
         if not visuals:
             plant.discard_visuals(spec)
-        names, chip_axes, drives_chosen = choose_chips_and_drives(spec, chips, drives, clock)
+        names, chip_axes, axis_drives = choose_chips_and_drives(spec, chips, drives, clock)
         self._encoders = encoder.choose_encoders(encoders, names, chip_axes)
         self._followers = choose_leaders(syni, names, chip_axes)
         self._linked, _ = choose_linked_axes(multichip, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, count_state_words(chip_axes, 5 * len(names)))
         integration_checks.check_integration_options(self.model)
         try:
-            self._build(names, chip_axes, drives_chosen, round(bus_cycle * 1e9), offset, wiring)
+            self._build(names, chip_axes, axis_drives, round(bus_cycle * 1e9), offset, wiring)
         except BaseException:
             for chip in list_chips(chip_axes):
                 chip.detach()

@@ -318,16 +318,16 @@ def test_another_failure_of_the_transport_is_one_still(monkeypatch):
 
 
 def test_ctrl_c_over_stdio_opens_no_session_for_a_call_that_comes_in(monkeypatch):
-    made = []
+    created = []
 
     def interrupt():
         raise KeyboardInterrupt
 
     monkeypatch.setattr(
-        stdio, "ClientSessions", lambda *a, **options: made.append(ClientSessions(*a, **options)) or made[0]
+        stdio, "ClientSessions", lambda *a, **options: created.append(ClientSessions(*a, **options)) or created[0]
     )
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=interrupt))
     with pytest.raises(KeyboardInterrupt):
         asyncio.run(stdio._serve(ToolboxFactory(lambda: Stage("xy", visuals=False))))
     with pytest.raises(StageError, match="The server ends"):
-        made[0].get_toolbox(stdio.SESSION_KEY)
+        created[0].get_toolbox(stdio.SESSION_KEY)

@@ -39,14 +39,14 @@ def test_each_session_has_a_separate_stage(maker):
     assert len(sessions) == 0
 
 
-def test_a_server_that_ends_opens_no_session_for_a_late_call(maker):
+def test_a_server_that_ends_opens_no_session_for_a_new_call(maker):
     sessions = ClientSessions(maker)
     sessions.get_toolbox("a")
     sessions.close_all()
     assert sessions.get_toolbox("b").stage.time == 0, "closed sessions alone end no server"
     sessions.shut_down()
     with pytest.raises(StageError, match="The server ends"):
-        sessions.get_toolbox("late")
+        sessions.get_toolbox("new")
     assert len(sessions) == 0
 
 

@@ -259,7 +259,7 @@ def flipped(content):
 @pytest.mark.parametrize(
     "damage", [lambda content: b"", shortened, flipped, None], ids=["empty", "cut", "flipped", "no digest"]
 )
-def test_damage_of_an_object_is_seen(tmp_path, damage):
+def test_damage_of_an_object_is_detected(tmp_path, damage):
     part, content = tmp_path / "toy.o", bytes(range(256)) * 4
     object_files.write_object(part, content)
     assert object_files.is_intact(part)

@@ -186,7 +186,7 @@ def test_the_text_of_a_promise_arrives_complete_and_a_silent_process_is_reported
     assert child.run_next(20) == words
 
 
-def test_promises_that_are_kept_run_in_one_process_and_one_that_hangs_ends_it():
+def test_promises_run_in_one_process_until_one_hangs():
     get_process = lambda: str(os.getpid())  # noqa: E731
     child = BoundedChildProcess([get_process, get_process, lambda: time.sleep(60) or "", get_process])
     first, second = child.run_next(60), child.run_next(60)
