@@ -1,11 +1,11 @@
-"""Throughput and memory of the environments, as ratios measured in one run: rounds interleaved, medians with spread.
+"""Throughput and memory of the environments, as ratios that are measured in one run: rounds interleaved, medians with spread.
 
 python scripts/benchmark_envs.py [--most 512] [--ids RegisterTuning] [--rounds 5] [--json FILE]
 python scripts/benchmark_envs.py --chips PCL240K MCX514 MCX304 --markdown      rows of the table of docs/envs.md
 
-Every line is one environment with so many stages under random actions. In each round the same episodes, seeds and actions, are
-played by our vector environment, by gymnasium.vector.SyncVectorEnv of our scalar one, and as many physics steps by a
-mujoco.batch.Batch of the bare model, carriages moving, torques constant, on as many threads.
+Every line is one environment with a number of stages under random actions. In each round, the same episodes (seeds and actions)
+are played by our vector environment and by gymnasium.vector.SyncVectorEnv of our scalar one. A mujoco.batch.Batch of the bare
+model makes the same number of physics steps on as many threads, with moving carriages and constant torques.
 """
 
 import argparse
@@ -34,47 +34,64 @@ ENOUGH = 64  # stages, to tell how much memory one takes
 COLUMNS = ("env steps/s", "physics steps/s", "times SyncVectorEnv", "of a bare Batch")
 
 
-def vector(id_, n, threads=None, **settings):
+def make_vector_env(id_, n, threads=None, **settings):
+    """Make our vector environment with n stages."""
     kind = {"vectorization_mode": "vector_entry_point", "autoreset_mode": MODE, "threads": threads}
     return gymnasium.make_vec(id_, num_envs=n, **kind, **settings)
 
 
-def sync(id_, n, **settings):
+def make_sync_vector_env(id_, n, **settings):
+    """Make Gymnasium's SyncVectorEnv of n of our scalar environments."""
     return SyncVectorEnv([lambda: gymnasium.make(id_, disable_env_checker=True, **settings)] * n, autoreset_mode=MODE)
 
 
-class Episodes:
-    """Random actions for at least `seconds` from SEED on, and the physics steps that they make."""
+class RandomEpisodes:
+    """Random actions from SEED on for at least some seconds, with the number of physics steps that they make.
+
+    Args:
+        envs: Vector environment on which the actions are drawn.
+        seconds: Shortest computing time.
+    """
 
     def __init__(self, envs, seconds):
         task, self.actions, self.physics = envs.unwrapped.task_instance, [], 0.0
-        act, dt = task.act, task.stages[0].model.opt.timestep * 1e9
+        play, dt = task.play, task.stages[0].model.opt.timestep * 1e9
 
         def counted():
             before = task.fleet.truth()["now"][:, 0]
-            act()
+            play()
             self.physics += float((task.fleet.truth()["now"][:, 0] - before).sum()) / dt
 
-        task.act = counted
+        task.play = counted
         envs.action_space.seed(SEED)
         envs.reset(seed=SEED)
         passed = 0.0
         while passed < seconds:
             self.actions.append(envs.action_space.sample())
             passed += measure_time(lambda: envs.step(self.actions[-1]))
-        task.act = act
+        task.play = play
 
     def play(self, envs, clock):
-        """Seconds that the same episodes take `envs`, resets at the beginning apart."""
+        """Play the episodes on `envs`, and return the time that `clock` measures, without the first reset, s."""
         envs.reset(seed=SEED)
         return measure_time(lambda: [envs.step(a) for a in self.actions], clock)
 
 
 def measure(id_, n, settings, args):
-    """Rates and ratios of one environment with n stages, a value a round."""
-    ours = vector(id_, n, args.threads, **settings)
-    episodes = Episodes(ours, args.seconds)
-    other = sync(id_, n, **settings) if n <= args.most_sync else None
+    """Measure the rates and ratios of one environment with n stages.
+
+    Args:
+        id_: Id of the environment.
+        n: Number of stages.
+        settings: Settings of the environment.
+        args: Options of the command line.
+
+    Returns:
+        Values of each round, by column.
+    """
+    ours = make_vector_env(id_, n, args.threads, **settings)
+    episodes = RandomEpisodes(ours, args.seconds)
+    other = make_sync_vector_env(id_, n, **settings) if n <= args.most_sync else None
     bare = MujocoBatch(n, ours.unwrapped.task_instance.fleet.threads)
     steps = n * len(episodes.actions)
     bare.nstep = max(1, round(min(episodes.physics / n, args.bare)))
@@ -97,11 +114,21 @@ def measure(id_, n, settings, args):
     return rows
 
 
-def grow(kind, id_, n, settings):
-    """KiB that each of n stages takes after a step, beyond the first of its kind."""
+def measure_growth(kind, id_, n, settings):
+    """Measure the memory of each of n further stages after a step.
+
+    Args:
+        kind: Kind of vector environment.
+        id_: Id of the environment.
+        n: Number of stages.
+        settings: Settings of the environment.
+
+    Returns:
+        KiB for one stage.
+    """
     make = {
-        "ours": lambda k: vector(id_, k, **settings),
-        "sync": lambda k: sync(id_, k, **settings),
+        "ours": lambda k: make_vector_env(id_, k, **settings),
+        "sync": lambda k: make_sync_vector_env(id_, k, **settings),
         "bare": lambda k: MujocoBatch(k, 0),
     }[kind]
 
@@ -117,8 +144,8 @@ def grow(kind, id_, n, settings):
     return (read_resident_memory() - before) / n / 1024
 
 
-def memory(kind, id_, n, settings):
-    """`grow` in a process of its own, so that nothing freed before is used again."""
+def measure_growth_in_process(kind, id_, n, settings):
+    """Call `measure_growth` in a new process, so that freed memory is not used again."""
     if not Path("/proc/self/statm").exists():
         return float("nan")
     what = [sys.executable, __file__, "--grow", kind, id_, str(n), "--settings", json.dumps(settings)]
@@ -129,27 +156,27 @@ def memory(kind, id_, n, settings):
 
 
 def select_ids(ids):
-    """The ids asked for."""
+    """Return the ids of the environments that the user selected; None: all."""
     return [id_ for id_ in stage.envs.IDS if not ids or any(name in id_ for name in ids)]
 
 
 def format_spread(values, digits=3):
-    """Median and spread."""
+    """Format the median of values with their smallest and largest."""
     low, middle, high = np.min(values), np.median(values), np.max(values)
     return f"{middle:,.{digits}g}" if middle < 1000 else f"{middle:,.0f}", f"({low:.{digits}g} .. {high:.{digits}g})"
 
 
-def markdown(rows, first, n):
-    """A row of the table of docs/envs.md."""
+def format_markdown_row(rows, first, n):
+    """Format a row of the table of docs/envs.md."""
     cells = [" ".join(format_spread(rows[name])) if name in rows else "" for name in COLUMNS]
     cells[1] = cells[1].split()[0]
     return f"| {first} | {n} | {' | '.join(cells)} |"
 
 
 def print_row(rows, id_, n, settings, max_sync):
-    """Print a line; returns KiB a stage."""
+    """Print a line of the table, and return the KiB of a stage."""
     kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= max_sync)]
-    kib = {kind: memory(kind, id_, n, settings) for kind in kinds}
+    kib = {kind: measure_growth_in_process(kind, id_, n, settings) for kind in kinds}
     cells = {name: " ".join(format_spread(values)) for name, values in rows.items()}
     print(
         f"{n:6}  {cells['env steps/s']:>28}  {cells['physics steps/s']:>30}  "
@@ -180,7 +207,7 @@ def main():
     parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.grow:
-        print(grow(args.grow[0], args.grow[1], int(args.grow[2]), args.settings))
+        print(measure_growth(args.grow[0], args.grow[1], int(args.grow[2]), args.settings))
         return
     table = {}
     print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)"
@@ -192,10 +219,10 @@ def main():
             print(f"\n{name}\n{'stages':>6}  {'env steps/s':>28}  {'physics steps/s':>30}  {'times SyncVectorEnv':>24}  "
                   f"{'of a bare Batch':>22}  {'KiB a stage: ours, sync, bare':>30}")  # fmt: skip
         first = name.removeprefix("stage/").replace("-v0", "")
-        for n in (n for n in NUMBERS if args.minimum <= n <= args.maximum):
+        for n in (n for n in NUMBERS if args.least <= n <= args.most):
             rows = measure(id_, n, settings, args)
             if args.markdown:
-                print(markdown(rows, first, n), flush=True)
+                print(format_markdown_row(rows, first, n), flush=True)
                 first, kib = "", {}
             else:
                 kib = print_row(rows, id_, n, settings, args.most_sync)
