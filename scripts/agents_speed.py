@@ -26,7 +26,14 @@ CALLS = {
 
 
 def measure_calls(times: int = 300) -> dict[str, float]:
-    """Us a call, by tool, the simulation of its bus cycles included."""
+    """Measure the time of a call of each tool, including the simulation of its bus cycles.
+
+    Args:
+        times: Number of calls of each tool.
+
+    Returns:
+        Microseconds for one call, by tool.
+    """
     box = Toolbox(Stage("xy", visuals=False))
     microseconds = {}
     for name, arguments in CALLS.items():
@@ -38,8 +45,14 @@ def measure_calls(times: int = 300) -> dict[str, float]:
     return microseconds
 
 
-async def client(address: str, token: str, calls: int) -> None:
-    """One session: it writes a register again and again."""
+async def run_client_session(address: str, token: str, calls: int) -> None:
+    """Open one session, in which a client writes a register again and again.
+
+    Args:
+        address: Address of the server.
+        token: Token of the server.
+        calls: Number of calls.
+    """
     import httpx2
     from mcp import Client
     from mcp.client.streamable_http import streamable_http_client
@@ -51,12 +64,18 @@ async def client(address: str, token: str, calls: int) -> None:
             assert not answer.is_error, answer
 
 
-async def clients(address: str, token: str, sessions: int, calls: int) -> None:
-    await asyncio.gather(*(client(address, token, calls) for _ in range(sessions)))
+async def run_clients(address: str, token: str, sessions: int, calls: int) -> None:
+    """Run sessions of clients at the same time, each in a thread."""
+    await asyncio.gather(*(run_client_session(address, token, calls) for _ in range(sessions)))
 
 
-def at_once(sessions: int, calls: int) -> float:
-    """Calls a second of so many sessions over HTTP; the clients are another process on the same machine."""
+def measure_calls_per_second(sessions: int, calls: int) -> float:
+    """Measure how many calls a second the server answers over HTTP. The clients run in another process on the same machine.
+
+    Args:
+        sessions: Number of simultaneous sessions.
+        calls: Number of calls of each session.
+    """
     from stage.agents.server.http import HttpServer
 
     maker = ToolboxFactory(lambda: Stage("xy", visuals=False))
@@ -83,11 +102,11 @@ def main() -> None:
     args = parser.parse_args()
     if args.as_clients:
         address, sessions, calls = args.as_clients
-        asyncio.run(clients(address, os.environ["PULSESTAGE_TOKEN"], int(sessions), int(calls)))
+        asyncio.run(run_clients(address, os.environ["PULSESTAGE_TOKEN"], int(sessions), int(calls)))
         return
     for name, us in measure_calls().items():
         print(f"{name:16}{us:8.0f} us a call")
-    rate = at_once(args.sessions, args.calls)
+    rate = measure_calls_per_second(args.sessions, args.calls)
     print(f"{args.sessions} sessions at once over HTTP: {rate:.0f} calls a second, their connecting included")
 
 

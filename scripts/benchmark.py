@@ -53,7 +53,13 @@ def main() -> None:
 
 
 def measure(name: str, run: Run, results: Results) -> None:
-    """One subject, printed while it is measured."""
+    """Measure one subject, and print its figures at once.
+
+    Args:
+        name: Name of the subject, a module of scripts/bench.
+        run: Settings of the benchmark.
+        results: Results to which the figures are added.
+    """
     subject = import_module(f"bench.{name}")
     results.remove_subject(name)
     results.titles[name], results.machines[name] = subject.TITLE, describe_machine(run)

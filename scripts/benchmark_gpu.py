@@ -22,7 +22,7 @@ STEPS = 800
 """Physics steps of each measurement, 0.2 s of simulated time, in which highest axes move."""
 
 
-def stepper_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
+def make_stepper_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
     """Return random moves of all axes at once."""
     programs = []
     for _ in range(DIFFERENT):
@@ -37,7 +37,7 @@ def stepper_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
     return programs
 
 
-def servo_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
+def make_servo_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
     """Return random trapezoids of all axes at once."""
     programs = []
     for _ in range(DIFFERENT):
@@ -49,7 +49,7 @@ def servo_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
     return programs
 
 
-def as_array(programs: list[Program]) -> np.ndarray:
+def pack_programs(programs: list[Program]) -> np.ndarray:
     """Return programs as one array, (programs, operations, 4)."""
     ops = np.zeros((len(programs), max(map(len, programs)), 4), np.int64)
     for row, program in zip(ops, programs, strict=True):
@@ -57,14 +57,14 @@ def as_array(programs: list[Program]) -> np.ndarray:
     return ops
 
 
-def measure(stage: Stage, programs: np.ndarray, copies: int) -> str:
+def measure_row(stage: Stage, programs: np.ndarray, copies: int) -> str:
     """Return a row of the table."""
-    begin, free = time.perf_counter(), free_memory()
+    begin, free = time.perf_counter(), read_free_memory()
     fleet = Fleet([stage], device="cuda", copies=copies)
     assert isinstance(fleet, GpuFleet)
     each = programs[np.arange(copies) % len(programs)]
     fleet.load(each)
-    setup, used_memory = time.perf_counter() - begin, free - free_memory()
+    setup, used_memory = time.perf_counter() - begin, free - read_free_memory()
     physics = fleet.physics
 
     def steps() -> None:
@@ -76,8 +76,8 @@ def measure(stage: Stage, programs: np.ndarray, copies: int) -> str:
     for _ in range(3):
         fleet.reset()
         fleet.load(each)
-        closed.append(timed(fleet.advance))
-        bare.append(timed(lambda: physics.launch_graph(graph)))
+        closed.append(measure_step_time(fleet.advance))
+        bare.append(measure_step_time(lambda: physics.launch_graph(graph)))
     best, alone = min(closed), min(bare)
     begin = time.perf_counter()
     fleet.reset()
@@ -89,7 +89,7 @@ def measure(stage: Stage, programs: np.ndarray, copies: int) -> str:
     )
 
 
-def timed(launch: Callable[[], object]) -> float:
+def measure_step_time(launch: Callable[[], object]) -> float:
     """Return the seconds that a physics step takes."""
     launch()
     begin = time.perf_counter()
@@ -98,7 +98,7 @@ def timed(launch: Callable[[], object]) -> float:
     return (time.perf_counter() - begin) / STEPS
 
 
-def free_memory() -> int:
+def read_free_memory() -> int:
     """Return the free memory of the GPU, bytes."""
     import warp
 
@@ -113,13 +113,15 @@ def main() -> None:
     args = parser.parse_args()
     stepper = args.chips == "PCL240K"
     stage = Stage("xyz", chips=PCL240K if stepper else HCTL1100, visuals=False)
-    programs = as_array((stepper_programs if stepper else servo_programs)(stage, np.random.default_rng(1)))
+    programs = pack_programs(
+        (make_stepper_programs if stepper else make_servo_programs)(stage, np.random.default_rng(1))
+    )
     print(
         "| copies | closed loop, 10^6 steps/s | bare, 10^6 steps/s | ratio | step, us | programs/s | kB a copy | setup, s |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for copies in args.copies:
-        print(measure(stage, programs, copies), flush=True)
+        print(measure_row(stage, programs, copies), flush=True)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,16 @@ BINS = 120  # of the angle about the circle
 
 
 class Run(NamedTuple):
-    """Results of a run. parts: begin and end of each in s, by name; columns: of the recording; edges: where ORG trips, m."""
+    """Results of the demonstration.
+
+    Attributes:
+        stage: The stage at the end.
+        homes: Report of the home search of each axis.
+        parts: Begin and end of each part, s, by name.
+        columns: Columns of the recording, by name.
+        edges: Position at which ORG trips on each axis, m.
+        recording: The recording.
+    """
 
     stage: Stage
     homes: dict[str, HomeSearchReport]
@@ -45,8 +54,14 @@ class Run(NamedTuple):
     recording: Any
 
 
-def rounded(width: int, height: int, r: int) -> list[LineSegment | ArcSegment]:
-    """A rectangle with rounded corners, counter-clockwise from the left end of its lower side: eight segments."""
+def make_rounded_rectangle(width: int, height: int, r: int) -> list[LineSegment | ArcSegment]:
+    """Make the eight segments of a rectangle with rounded corners, counter-clockwise from the left end of its lower side.
+
+    Args:
+        width: Width, pulses.
+        height: Height, pulses.
+        r: Radius of the corners, pulses.
+    """
     return [
         LineSegment(width - 2 * r, 0), ArcSegment((0, r), (r, r)), LineSegment(0, height - 2 * r), ArcSegment((-r, 0), (-r, r)),
         LineSegment(-(width - 2 * r), 0), ArcSegment((0, -r), (-r, -r)),
@@ -54,8 +69,8 @@ def rounded(width: int, height: int, r: int) -> list[LineSegment | ArcSegment]:
     ]  # fmt: skip
 
 
-def run() -> Run:
-    """Home, circle with and without constant vector speed, helix, contour."""
+def run_demonstration() -> Run:
+    """Run the home search, a circle with and one without constant vector speed, a helix and a contour."""
     stage = Stage("xyz", chips=MCX514)
     stage.place(**STARTS)
     x, y, z = (stage.axes[name] for name in "xyz")
@@ -81,28 +96,46 @@ def run() -> Run:
         part("helix", HelixSegment((0, round(TURN * MM)), (PITCH * MM,), REVOLUTIONS), axes=(x, y, z))
         away = CORNER[0] + 6 * MM - 18 * MM, CORNER[1] + round(TURN * MM), -PITCH * REVOLUTIONS * MM
         part("to the contour", LineSegment(*away), axes=(x, y, z), speed=FAST)
-        part("contour", *rounded(70 * MM, 34 * MM, 6 * MM))
+        part("contour", *make_rounded_rectangle(70 * MM, 34 * MM, 6 * MM))
     edges = {n: next(s.touch for s in a.plant.switches if s.pin == "org") for n, a in stage.axes.items()}
     return Run(stage, homes, parts, recording.columns, edges, recording)
 
 
-def during(run: Run, name: str, *columns: str) -> list[np.ndarray]:
-    """Columns of the recording while a part lasted."""
+def get_part_columns(run: Run, name: str, *columns: str) -> list[np.ndarray]:
+    """Return columns of the recording during a part of the run."""
     begin, end = run.parts[name]
     rows = (run.columns["time"] >= begin) & (run.columns["time"] <= end)
     return [run.columns[column][rows] for column in columns]
 
 
-def off_circle(run: Run, name: str, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Angle about the circle's centre and distance outside the circle, m, of "position" or "commanded"."""
-    x, y, x0, y0 = during(run, name, f"x/{what}", f"y/{what}", "x/commanded", "y/commanded")
+def compute_circle_deviation(run: Run, name: str, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Compute how far a part of the run deviates from the circle.
+
+    Args:
+        run: Results.
+        name: Name of the part.
+        what: "position" or "commanded".
+
+    Returns:
+        Angle about the center, rad, and distance outside the circle, m.
+    """
+    x, y, x0, y0 = get_part_columns(run, name, f"x/{what}", f"y/{what}", "x/commanded", "y/commanded")
     u, v = x - x0[0], y - (y0[0] + CIRCLE * 1e-3)
     return np.unwrap(np.arctan2(v, u)), np.hypot(u, v) - CIRCLE * 1e-3
 
 
-def path_speed(run: Run, name: str, over: int = 12) -> tuple[np.ndarray, np.ndarray]:
-    """Time since the part began and the pulses' speed along the path, mm/s, in windows of so many samples."""
-    t, x, y = during(run, name, "time", "x/pulses", "y/pulses")
+def compute_path_speed(run: Run, name: str, over: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the speed of the pulses along the path.
+
+    Args:
+        run: Results.
+        name: Name of the part.
+        over: Number of samples over which the speed is averaged.
+
+    Returns:
+        Time since the part began, s, and speed, mm/s.
+    """
+    t, x, y = get_part_columns(run, name, "time", "x/pulses", "y/pulses")
     v = np.hypot(x[over:] - x[:-over], y[over:] - y[:-over]) / (t[over:] - t[:-over]) / MM
     return (t[over:] + t[:-over]) / 2 - t[0], v
 
@@ -112,7 +145,7 @@ def print_results(run: Run) -> None:
         home = run.homes[name].position
         print(f"{name}: home {1e6 * (home - edge):+.1f} um from the edge of ORG")
     for name in ("circle", "uneven"):
-        off = off_circle(run, name, "position")[1]
+        off = compute_circle_deviation(run, name, "position")[1]
         print(f"{name}: carriages {off.min() * 1e6:+.1f} to {off.max() * 1e6:+.1f} um from the circle, "
               f"back within {abs(off[-1]) * 1e6:.1f} um")  # fmt: skip
     print("lost steps:", {name: axis.lost_steps for name, axis in run.stage.axes.items()})
@@ -123,10 +156,10 @@ def print_results(run: Run) -> None:
 
 def draw_from_above(ax: Any, run: Run) -> None:
     for name in ("to the circle", "to the helix", "to the contour"):
-        x, y = during(run, name, "x/position", "y/position")
+        x, y = get_part_columns(run, name, "x/position", "y/position")
         ax.plot(x * 1e3, y * 1e3, color=TRAVEL, lw=0.9, ls=(0, (4, 3)))
     for name in ("contour", "circle", "helix"):
-        x, y = during(run, name, "x/position", "y/position")
+        x, y = get_part_columns(run, name, "x/position", "y/position")
         ax.plot(x * 1e3, y * 1e3, color=COLOURS[name], lw=2.2)
         ax.plot(x[0] * 1e3, y[0] * 1e3, "o", color=COLOURS[name], ms=5)
     u, v = (1e3 * run.edges[n] + MIDDLE[k] / MM for k, n in enumerate("xy"))
@@ -139,7 +172,7 @@ def draw_from_above(ax: Any, run: Run) -> None:
 
 def draw_in_space(ax: Any, run: Run) -> None:
     for name in ("to the circle", "to the helix", "to the contour", "circle", "helix", "contour"):
-        places = [1e3 * c for c in during(run, name, *(f"{n}/position" for n in "xyz"))]
+        places = [1e3 * c for c in get_part_columns(run, name, *(f"{n}/position" for n in "xyz"))]
         travel = name.startswith("to ")
         if name == "to the circle":
             places = [c[places[0] > -45] for c in places]
@@ -160,13 +193,13 @@ def draw_in_space(ax: Any, run: Run) -> None:
 
 
 def draw_the_deviation(ax: Any, run: Run) -> None:
-    angle, off = off_circle(run, "circle", "position")
+    angle, off = compute_circle_deviation(run, "circle", "position")
     edges = np.linspace(angle[0], angle[0] + 2 * np.pi, BINS + 1)
     where = np.clip(np.digitize(angle, edges), 1, BINS)
     low, high = (np.array([f(off[where == k]) for k in range(1, BINS + 1)]) * 1e6 for f in (np.min, np.max))
     middle = (edges[1:] + edges[:-1]) / 2
     ax.fill_between(middle, low, high, color="#b8cfe6", lw=0, label="carriages, least to most")
-    angle, off = off_circle(run, "circle", "commanded")
+    angle, off = compute_circle_deviation(run, "circle", "commanded")
     ax.plot(angle, off * 1e6, color=TEXT_COLOR, lw=0.8, label="pulses")
     ax.set_ylim(-75, 32)
     ax.set_yticks([-25, 0, 25], ["", "", ""])
@@ -221,7 +254,7 @@ def draw_the_speed(ax: Any, run: Run) -> None:
         ("circle", "circle, with"),
         ("contour", "contour of 8 segments, with"),
     ):
-        t, v = path_speed(run, name)
+        t, v = compute_path_speed(run, name)
         ax.plot(t, v, color=COLOURS[name], lw=1.6, label=label)
     ax.axhline(FINE.drive / MM, color=TEXT_COLOR, lw=0.8, ls=(0, (2, 2)))
     ax.set(xlabel="time (s)", ylabel="speed on the path (mm/s)", ylim=(0, 68), xlim=(0, None))
@@ -234,7 +267,7 @@ TITLES = (
 )  # fmt: skip
 
 
-def picture(run: Run, path: Path) -> None:
+def draw_picture(run: Run, path: Path) -> None:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
@@ -272,9 +305,9 @@ if __name__ == "__main__":
     parser.add_argument("--record", type=Path, metavar="RRD", help="write a rerun recording")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the picture")
     args = parser.parse_args()
-    results = run()
+    results = run_demonstration()
     print_results(results)
     if args.record:
         print(f"{results.recording.save(args.record, overwrite=True)}: written")
     if args.picture:
-        picture(results, args.picture)
+        draw_picture(results, args.picture)

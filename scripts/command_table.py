@@ -28,8 +28,8 @@ BLOCK = re.compile(r"(<!-- commands: (?P<chips>[\w ]+) -->\n).*?(<!-- end -->)",
 Tests = dict[tuple[str, str], Counter[str]]
 
 
-def covered(folder: Path) -> Tests:
-    """(chip, symbol) -> how many tests of which file cover it."""
+def count_covering_tests(folder: Path) -> Tests:
+    """Count the tests of each file that cover a command, by (chip, symbol)."""
     matches: Tests = defaultdict(Counter)
     for path in sorted(folder.rglob("test_*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -50,8 +50,13 @@ def describe_support(map_: RegisterMap, command: Command) -> str:
     return command.lacking.partition(":")[0] or "yes"
 
 
-def table(maps: list[RegisterMap], tests: Tests) -> str:
-    """One table in Markdown for chips whose commands differ in presence only."""
+def format_table(maps: list[RegisterMap], tests: Tests) -> str:
+    """Format one Markdown table for chips whose commands differ only in which of them exist.
+
+    Args:
+        maps: Register maps of the chips.
+        tests: Tests of each command, as `count_covering_tests` returns them.
+    """
     several = len(maps) > 1
     heads = f"command|code|what|bytes|{'chips|' if several else ''}implemented|tested by|evidence".split("|")
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
@@ -77,18 +82,23 @@ def table(maps: list[RegisterMap], tests: Tests) -> str:
     return "\n".join([*lines, "", "Evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in used) + "."])
 
 
-def renewed(text: str, tests: Tests) -> str:
-    """The page with its tables as they should be."""
+def renew_tables(text: str, tests: Tests) -> str:
+    """Return the page with its tables computed again.
+
+    Args:
+        text: Text of the page.
+        tests: Tests of each command, as `count_covering_tests` returns them.
+    """
 
     def block(m: re.Match[str]) -> str:
-        return f"{m[1]}{table([MAPS[chip] for chip in m['chips'].split()], tests)}\n{m[3]}"
+        return f"{m[1]}{format_table([MAPS[chip] for chip in m['chips'].split()], tests)}\n{m[3]}"
 
     return BLOCK.sub(block, text)
 
 
 def main() -> int:
     text = PAGE.read_text()
-    new = renewed(text, covered(ROOT / "tests"))
+    new = renew_tables(text, count_covering_tests(ROOT / "tests"))
     if "--check" in sys.argv[1:]:
         print(f"{PAGE.name} is {'up to date' if new == text else 'out of date: run python scripts/command_table.py'}")
         return int(new != text)

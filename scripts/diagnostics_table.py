@@ -41,11 +41,11 @@ def make_table(lint: ModuleType, maps: tuple[RegisterMap, ...]) -> str:
     return "\n".join(lines)
 
 
-def renew(text: str) -> str:
-    """Return the page with its tables as they should be."""
+def renew_tables(text: str) -> str:
+    """Return the page with its tables computed again."""
     return BLOCK.sub(lambda m: f"{m[1]}{make_table(*FAMILIES[m[2]])}\n{m[3]}", text)
 
 
 if __name__ == "__main__":
-    PAGE.write_text(renew(PAGE.read_text()))
+    PAGE.write_text(renew_tables(PAGE.read_text()))
     print(f"{PAGE.name} written")

@@ -34,7 +34,16 @@ BUDGET = 3000  # events of one guided input: a long ramp is nothing new after th
 
 @dataclass(frozen=True)
 class Target:
-    """Class `name` of `module` that takes the inputs, with the way in which atheris measures its coverage."""
+    """Target of the fuzzer: a class that checks inputs, and how atheris measures its coverage.
+
+    Attributes:
+        module: Module of the class.
+        name: Name of the class.
+        max_bytes: Largest length of an input.
+        instrumented: Package whose coverage counts.
+        before: Modules to import before, without coverage.
+        uncompiled: Whether guided runs execute the functions as plain Python; mutations then run compiled.
+    """
 
     module: str
     name: str
@@ -53,30 +62,41 @@ TARGETS = {
 }
 
 
-def inputs_of(target: str) -> list[Path]:
-    """The corpus, and all that was found on top of it."""
+def list_inputs(target: str) -> list[Path]:
+    """List the files of the corpus, and all inputs that were found in addition to it."""
     return [f for folder in (SEEDS / target, FINDINGS / target) for f in sorted(folder.glob("*")) if f.is_file()]
 
 
-def child(target: str, run: str, options: list[str], chip: str | None = None) -> int:
-    """Fuzz in a process of its own and print what it has counted. Returns its exit status; not 0 means a finding."""
+def run_child(target: str, run: str, options: list[str], chip: str | None = None) -> int:
+    """Fuzz in a new process, and print what it has counted.
+
+    Args:
+        target: Key of TARGETS.
+        run: Kind of run: "guided", "merge" or "mutations".
+        options: Options of libFuzzer, or of the mutations.
+        chip: The only chip whose inputs are checked; None: all.
+
+    Returns:
+        Exit status of the process; not 0 if there is a finding.
+    """
     (FINDINGS / target).mkdir(parents=True, exist_ok=True)
     counts = FINDINGS / f"{target}-{run}.json"
     counts.unlink(missing_ok=True)
     uncompiled = run in ("guided", "merge") and TARGETS[target].uncompiled
-    command = [*_inside(target, run, chip), *options]
+    command = [*_make_child_command(target, run, chip), *options]
     status = subprocess.run(command, env={**os.environ, "NUMBA_DISABLE_JIT": str(int(uncompiled))}).returncode
     totals = ", ".join(f"{n:,} {name}" for name, n in read_counts(counts).items())
     print(f"{target}, {run}: {totals or 'nothing done'}; {'no finding' if status == 0 else f'exit status {status}'}")
     return status
 
 
-def _inside(target: str, run: str, chip: str | None) -> list[str]:
-    """The command of a process that fuzzes."""
+def _make_child_command(target: str, run: str, chip: str | None) -> list[str]:
+    """Return the command of a process that fuzzes."""
     return [sys.executable, __file__, target, "--inside", run, *(["--chip", chip] if chip else [])]
 
 
-def guided(target: str, seconds: int, chip: str | None) -> int:
+def run_guided(target: str, seconds: int, chip: str | None) -> int:
+    """Run guided fuzzing, and then mutations if the target has compiled code; return the exit code."""
     options = [
         *(f"-max_total_time={seconds}", "-timeout=60", f"-max_len={TARGETS[target].max_bytes}", "-len_control=0"),
         *(
@@ -86,25 +106,25 @@ def guided(target: str, seconds: int, chip: str | None) -> int:
             str(SEEDS / target),
         ),
     ]
-    return child(target, "guided", options, chip)
+    return run_child(target, "guided", options, chip)
 
 
-def keep(target: str) -> int:
-    """Add to the corpus the fewest of the found inputs that reach all branches which it does not."""
-    return child(
+def keep_inputs(target: str) -> int:
+    """Add to the corpus the smallest set of found inputs that reach all branches which the corpus does not reach."""
+    return run_child(
         target, "merge", ["-set_cover_merge=1", "-use_counters=0", str(SEEDS / target), str(FINDINGS / target)]
     )
 
 
-def inside(target: str, run: str, options: list[str], chip: str | None) -> int:
-    """The child: atheris with libFuzzer's options, or mutations for so many seconds."""
+def run_in_child(target: str, run: str, options: list[str], chip: str | None) -> int:
+    """Fuzz in this process, started by `run_child`: by atheris with libFuzzer's options, or by mutations for some seconds."""
     counts, source = Counts(FINDINGS / f"{target}-{run}.json"), TARGETS[target]
     only = {"only": chip} if chip else {}
     if run == "compiled":
         from fuzzing.mutation import mutate_for
 
         seconds, seed = map(int, options)
-        pool = [f.read_bytes() for f in inputs_of(target)]
+        pool = [f.read_bytes() for f in list_inputs(target)]
         try:
             return mutate_for(source.load()(counts, **only), pool, seconds, seed, FINDINGS / target, source.max_bytes)
         finally:
@@ -115,13 +135,14 @@ def inside(target: str, run: str, options: list[str], chip: str | None) -> int:
         import_module(name)
     with atheris.instrument_imports(include=[source.instrumented]):
         cls = source.load()
-    again = shlex.join(_inside(target, run, chip))  # libFuzzer merges in processes of its own
+    again = shlex.join(_make_child_command(target, run, chip))  # libFuzzer merges in processes of its own
     atheris.Setup([again, *options], cls(counts, budget=BUDGET, **only))
     atheris.Fuzz()
     return 0
 
 
-def replay(target: str, files: list[Path]) -> None:
+def replay_files(target: str, files: list[Path]) -> None:
+    """Check the inputs in some files, and print what was counted."""
     inputs = [f.read_bytes() for f in files]
     check = TARGETS[target].load()()  # may go elsewhere
     for data in inputs:
@@ -146,9 +167,9 @@ def main() -> int:
     if args.chip and args.target != "bus":
         parser.error(f"{args.target} has no chips to choose from")
     if args.inside:
-        return inside(args.target, args.inside, options, args.chip)
+        return run_in_child(args.target, args.inside, options, args.chip)
     if args.replay:
-        replay(args.target, args.replay)
+        replay_files(args.target, args.replay)
         return 0
     both = TARGETS[args.target].uncompiled
     if args.run == "compiled" and not both:
@@ -158,15 +179,15 @@ def main() -> int:
         print("guided fuzzing skipped: atheris is not installed; pip install 'pulsestage[fuzz]' (Linux, macOS)")
         runs = [] if args.keep else [run for run in runs if run != "guided"]
     elif args.keep:
-        return keep(args.target)
+        return keep_inputs(args.target)
     shares = {"guided": args.seconds * 2 // 3, "compiled": args.seconds // 3}
     status = 0
     for run in runs:
         seconds = shares[run] if len(runs) > 1 else args.seconds
         if run == "guided":
-            status = guided(args.target, seconds, args.chip) or status
+            status = run_guided(args.target, seconds, args.chip) or status
         else:
-            status = child(args.target, run, [str(seconds), str(args.seed)], args.chip) or status
+            status = run_child(args.target, run, [str(seconds), str(args.seed)], args.chip) or status
     return status
 
 

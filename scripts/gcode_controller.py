@@ -1,9 +1,9 @@
-"""A controller that a G-code sender can talk to: a pseudo-terminal in front of three axes, chips, motors and switches.
+"""A controller for G-code senders: a pseudo-terminal that controls a stage with three axes, chips, motors and switches.
 
 python scripts/gcode_controller.py --chips mcx304
 
-It prints the name of its terminal; open that with a sender, or with `picocom /dev/pts/5`. One command a line, each answered by `ok`
-or by a line that begins with `error:`. A move has come to its end when its `ok` comes.
+It prints the name of its terminal. Open that with a sender, or with `picocom /dev/pts/5`. Each line has one command. The reply is
+`ok`, or a line that begins with `error:`. The `ok` of a move comes when the move has ended.
 """
 
 from __future__ import annotations
@@ -28,7 +28,11 @@ class Refused(Exception):
 
 
 class Controller:
-    """Lines in, replies out. Positions are mm from the origins that G28 found, or from where G92 said; the stage is in metres."""
+    """Interpreter of G-code that moves a stage. Positions are mm from the origins of G28 or G92; the stage uses meters.
+
+    Args:
+        stage: Stage to control.
+    """
 
     def __init__(self, stage: Stage):
         self.stage = stage
@@ -36,38 +40,40 @@ class Controller:
         self.zero = {letter: axis.commanded * 1e3 for letter, axis in self.letters.items()}
         self.relative, self.feed = False, 1000.0
         self.does: dict[str, Callable[[dict[str, float | None]], list[str]]] = {
-            "G0": self.move, "G1": self.move, "G4": self.dwell, "G28": self.home, "G90": self.absolute, "G91": self.relatively,
-            "G92": self.set_position, "M114": self.position, "M119": self.switches,
+            "G0": self.move, "G1": self.move, "G4": self.dwell, "G28": self.home, "G90": self.use_absolute_positions,
+            "G91": self.use_relative_positions, "G92": self.set_position,
+            "M114": self.report_positions, "M119": self.report_switches,
         }  # fmt: skip
 
     def answer(self, line: str) -> list[str]:
-        """The replies to a line."""
+        """Execute a line, and return the lines of the reply."""
         text = re.sub(r"\(.*?\)|;.*|\*.*|^\s*N\d+", "", line.upper()).strip()
         if not text:
             return ["ok"]
         try:
             if len(line) > MAX_LINE_LENGTH:
                 raise Refused(f"a line of {len(line)} characters; there are up to {MAX_LINE_LENGTH}")
-            command, words = parse(text)
+            command, words = parse_line(text)
             if command not in self.does:
                 raise Refused(f"{command} is not known here; there are {HELP}")
             return [*self.does[command](words | {"": float(command == "G0")}), "ok"]
         except (Refused, StageError) as error:
             return [f"error: {' '.join(str(error).split())}"]
 
-    def at(self, letter: str) -> float:
+    def get_position_mm(self, letter: str) -> float:
+        """Return the position of an axis, given by its letter, mm."""
         return self.letters[letter].commanded * 1e3 - self.zero[letter]
 
     def move(self, words: dict[str, float | None]) -> list[str]:
-        """G0: as fast as it goes; G1: with the feed, along a straight line."""
+        """Execute G0 (as fast as possible) or G1 (with the feed rate, along a straight line)."""
         rapid = words.pop("")
-        feed = number(words, "F", self.feed)
+        feed = get_number(words, "F", self.feed)
         if feed <= 0:
             raise Refused(f"F{feed:g}: a feed is more than 0 mm/min")
         millimetres = {}
-        for letter in self.known(words, "F"):
-            to = number(words, letter)
-            millimetres[letter] = to if self.relative else to - self.at(letter)
+        for letter in self.list_named_axes(words, "F"):
+            to = get_number(words, letter)
+            millimetres[letter] = to if self.relative else to - self.get_position_mm(letter)
         self.feed = feed
         distances = {k: d for k, d in millimetres.items() if abs(d * 1e-3) >= self.letters[k].meters_per_pulse / 2}
         if not distances:
@@ -89,9 +95,9 @@ class Controller:
         return []
 
     def home(self, words: dict[str, float | None]) -> list[str]:
-        """The origins of the axes that are named, or of all, one after the other."""
+        """Execute G28: find the origins of the axes that the line names, or of all axes, one after the other."""
         words.pop("")
-        for letter in self.known(words) or list(self.letters):
+        for letter in self.list_named_axes(words) or list(self.letters):
             report = firmware.home(self.letters[letter])
             if report.stopped_by != "ORG":
                 raise Refused(f"{letter} has found no origin: stopped by {report.stopped_by}")
@@ -99,42 +105,53 @@ class Controller:
         return []
 
     def dwell(self, words: dict[str, float | None]) -> list[str]:
-        seconds = number(words, "P", 0.0) * 1e-3 + number(words, "S", 0.0)
+        """Execute G4: wait."""
+        seconds = get_number(words, "P", 0.0) * 1e-3 + get_number(words, "S", 0.0)
         if not 0 <= seconds <= 3600:
             raise Refused(f"a dwell of {seconds:g} s; there are 0 to 3600 s")
         self.stage.run(seconds)
         return []
 
-    def absolute(self, words: dict[str, float | None]) -> list[str]:
+    def use_absolute_positions(self, words: dict[str, float | None]) -> list[str]:
+        """Execute G90."""
         self.relative = False
         return []
 
-    def relatively(self, words: dict[str, float | None]) -> list[str]:
+    def use_relative_positions(self, words: dict[str, float | None]) -> list[str]:
+        """Execute G91."""
         self.relative = True
         return []
 
     def set_position(self, words: dict[str, float | None]) -> list[str]:
+        """Execute G92: define the present position."""
         words.pop("")
-        for letter in self.known(words):
-            self.zero[letter] = self.letters[letter].commanded * 1e3 - number(words, letter)
+        for letter in self.list_named_axes(words):
+            self.zero[letter] = self.letters[letter].commanded * 1e3 - get_number(words, letter)
         return []
 
-    def position(self, words: dict[str, float | None]) -> list[str]:
-        return [" ".join(f"{letter}:{self.at(letter) + 0.0:.3f}" for letter in self.letters)]
+    def report_positions(self, words: dict[str, float | None]) -> list[str]:
+        """Execute M114."""
+        return [" ".join(f"{letter}:{self.get_position_mm(letter) + 0.0:.3f}" for letter in self.letters)]
 
-    def switches(self, words: dict[str, float | None]) -> list[str]:
+    def report_switches(self, words: dict[str, float | None]) -> list[str]:
+        """Execute M119."""
         both = [(letter, axis.switches.as_dict()) for letter, axis in self.letters.items()]
         return [f"{x.lower()}_{name}: {'TRIGGERED' if on else 'open'}" for x, all_ in both for name, on in all_.items()]
 
-    def known(self, words: dict[str, float | None], others: str = "") -> list[str]:
-        """The axes among the words."""
+    def list_named_axes(self, words: dict[str, float | None], others: str = "") -> list[str]:
+        """List the letters of the axes that a line names. Raises Refused for other words.
+
+        Args:
+            words: Numbers by letter.
+            others: Letters that are also allowed.
+        """
         for letter in words:
             if letter not in self.letters and letter not in others:
                 raise Refused(f"{letter} is no axis here; there are {', '.join(self.letters)}")
         return [letter for letter in words if letter in self.letters]
 
 
-def parse(text: str) -> tuple[str, dict[str, float | None]]:
+def parse_line(text: str) -> tuple[str, dict[str, float | None]]:
     """Parse a line into its command and a mapping of its other words."""
     tokens, left = WORD.findall(text), WORD.sub("", text).strip()
     if left or not tokens or tokens[0][0] not in "GM" or not tokens[0][1]:
@@ -145,7 +162,14 @@ def parse(text: str) -> tuple[str, dict[str, float | None]]:
     return f"{tokens[0][0]}{float(tokens[0][1]):g}", words
 
 
-def number(words: dict[str, float | None], letter: str, usual: float | None = None) -> float:
+def get_number(words: dict[str, float | None], letter: str, usual: float | None = None) -> float:
+    """Return the number of a word. Raises Refused if it is missing and there is no default.
+
+    Args:
+        words: Numbers by letter.
+        letter: Letter of the word.
+        usual: Default.
+    """
     value = words.get(letter, usual)
     if value is None:
         raise Refused(f"{letter} without a number")

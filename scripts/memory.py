@@ -1,10 +1,10 @@
-"""Run tests under valgrind, and see whether the native library reads or writes what is not its own.
+"""Run tests under valgrind, and report invalid reads and writes of memory by the native library.
 
     python scripts/memory.py                             the chip machines and the stage machine, a few examples each
     python scripts/memory.py tests/test_fleet.py -k x    other tests; arguments are pytest's
 
-Python itself and its libraries make valgrind speak, too; what counts is errors with the native library among the callers. Needs
-valgrind (Debian: valgrind); some forty times slower than without.
+Python and its libraries also cause errors in valgrind; only those with the native library among the callers count. Needs
+valgrind (Debian: valgrind), and takes about forty times as long.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ EXAMPLES = "3"
 
 
 def main(arguments: list[str]) -> int:
-    """The exit status: 0 where all is clean."""
+    """Run the tests, and return the exit code: 0 if there are no errors."""
     if not shutil.which("valgrind"):
         print("valgrind is not installed: apt-get install valgrind", file=sys.stderr)
         return 2
@@ -33,7 +33,7 @@ def main(arguments: list[str]) -> int:
              sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *(arguments or MACHINES)],
             env={"PULSESTAGE_EXAMPLES": EXAMPLES} | os.environ | {"PYTHONMALLOC": "malloc"}, check=False,
         )  # fmt: skip
-        errors, ours = _remarks(Path(folder))
+        errors, ours = _count_errors(Path(folder))
     for error in ours:
         print(error.findtext("what") or error.findtext("xwhat/text"))
         for frame in error.iter("frame"):
@@ -44,10 +44,10 @@ def main(arguments: list[str]) -> int:
     return done.returncode or bool(ours)
 
 
-def _remarks(folder: Path) -> tuple[int, list[ElementTree.Element]]:
-    """Return how many errors valgrind saw in all processes, and those with the native library among the callers.
+def _count_errors(folder: Path) -> tuple[int, list[ElementTree.Element]]:
+    """Return the number of errors in the reports of all processes, and the errors with the native library among the callers.
 
-    A file of hundreds of megabytes is read block by block; that of a process that crashed, or forked, is no whole document.
+    Reports of hundreds of megabytes are read block by block. Those of processes that crashed or forked are incomplete documents.
     """
     errors, ours = 0, []
     for text in folder.glob("*.xml"):

@@ -1,9 +1,9 @@
-"""Where an origin return ends, a hundred times over: at the ORG switch, and at an index pulse (EZ) of the motor after it.
+"""Spread of the end of a hundred origin returns: at the ORG switch, and at an index pulse (EZ) of the motor after it.
 
 python scripts/origin_spread.py [--returns N] [--seed N] [--picture FILE.png]
 
-Each return starts at a random place. In the second column the ORG switch drifts: before each return its beam is shifted
-by up to 0.1 mm, as dirt, heat and a loose screw do.
+Each return starts at a random position. In the second column, the ORG switch drifts: before each return, its beam is shifted by
+up to 0.1 mm, as dirt, heat or a loose screw would do.
 """
 
 import argparse
@@ -18,8 +18,17 @@ DRIFT = 1e-4  # m
 METHODS = {"ORG": None, "EZ, 2nd pulse": 2}
 
 
-def places(stage, name, ez, drift, returns, rng):
-    """Final positions in pulses."""
+def measure_end_positions(stage, name, ez, drift, returns, rng):
+    """Make origin returns, and return their end positions, pulses.
+
+    Args:
+        stage: Stage of the axis.
+        name: Name of the axis.
+        ez: Number of the index pulse after ORG, or None.
+        drift: Largest shift of the switch, m.
+        returns: Number of returns.
+        rng: Random generator.
+    """
     axis, beam = stage.axes[name], stage.model.geom(f"{name}_org_switch").pos
     low, high = (next(s.touch for s in axis.plant.switches if s.pin == pin) for pin in ("el_minus", "el_plus"))
     home, ends, method = beam.copy(), [], "xyz".index(name)
@@ -34,7 +43,7 @@ def places(stage, name, ez, drift, returns, rng):
     return np.array(ends)
 
 
-def draw(positions, path):
+def draw_histograms(positions, path):
     from stage.support.plot_style import COLORS, make_figure, remove_frame, set_title
 
     rng = np.random.default_rng(0)
@@ -76,11 +85,11 @@ def main():
             spreads = []
             for drift in (0.0, DRIFT):
                 rng = np.random.default_rng([args.seed, ord(name), k])
-                positions[name, method, drift] = ends = places(stage, name, ez, drift, args.returns, rng)
+                positions[name, method, drift] = ends = measure_end_positions(stage, name, ez, drift, args.returns, rng)
                 spreads.append(np.ptp(ends))
             print(f"{name:6}{method:16}{spreads[0]:>14.2f}{spreads[1]:>16.2f}", flush=True)
     if args.picture:
-        draw(positions, args.picture)
+        draw_histograms(positions, args.picture)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ WIDE, PHONE, FILM = (1440, 1500), (420, 1300), (1440, 920)
 FRAMES, BETWEEN = 34, 0.06  # of the film; simulated seconds
 
 
-def browser(address: str, size: tuple[int, int], dark: bool = False) -> Any:
+def open_browser(address: str, size: tuple[int, int], dark: bool = False) -> Any:
     options = webdriver.ChromeOptions()
     wanted = ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--hide-scrollbars"]
     for argument in (*wanted, *(["--force-dark-mode"] if dark else [])):
@@ -38,43 +38,43 @@ def browser(address: str, size: tuple[int, int], dark: bool = False) -> Any:
     return driver
 
 
-def click(driver: Any, name: str) -> None:
+def click_button(driver: Any, name: str) -> None:
     driver.execute_script("arguments[0].click()", driver.find_element("css selector", f"[data-test='{name}']"))
 
 
-def shot(driver: Any) -> Image.Image:
+def take_screenshot(driver: Any) -> Image.Image:
     return Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
 
 
-def smaller(picture: Image.Image, path: Path) -> None:
-    """256 colours are enough for a page."""
+def save_small_picture(picture: Image.Image, path: Path) -> None:
+    """Save a picture with 256 colors, which are enough for a page."""
     picture.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
-def pictures(session: Session, panel: Panel) -> None:
-    """After a dual-rate move, with its pattern."""
+def draw_pictures(session: Session, panel: Panel) -> None:
+    """Take the pictures of the panel after a dual-rate move."""
     for name, size, dark in (("panel", WIDE, False), ("panel_dark", WIDE, True), ("panel_phone", PHONE, False)):
         session.reset()
-        driver = browser(panel.address, size, dark)
-        click(driver, "tab-two_rates")
+        driver = open_browser(panel.address, size, dark)
+        click_button(driver, "tab-two_rates")
         time.sleep(1)
-        click(driver, "go-two_rates")
+        click_button(driver, "go-two_rates")
         while not driver.find_elements("css selector", ".pattern svg"):
             time.sleep(0.1)
         session.paused = True
         driver.execute_script("window.scrollTo(0, 0)")
         time.sleep(3)
-        smaller(shot(driver), OUT / f"{name}.png")
+        save_small_picture(take_screenshot(driver), OUT / f"{name}.png")
         session.paused = False
         driver.quit()
 
 
-def film(session: Session, panel: Panel) -> None:
-    """A line of both axes, a slow picture at a time: whatever this machine can, the film is smooth."""
+def record_film(session: Session, panel: Panel) -> None:
+    """Record a line of both axes picture by picture, so that the film is smooth on a slow machine, too."""
     session.reset()
     session.paused = True
-    driver = browser(panel.address, FILM)
+    driver = open_browser(panel.address, FILM)
     move = session.act("line", lambda stage: firmware.line({"x": 0.06, "y": 0.03}, stage.axes))
     frames, steps = [], round(BETWEEN * 1e9 / session.stage.state.dt)
     for _ in range(FRAMES):
@@ -84,7 +84,7 @@ def film(session: Session, panel: Panel) -> None:
             time.sleep(0.002)
         session.paused = True
         time.sleep(0.8)  # the page draws it
-        frames.append(shot(driver).resize((FILM[0] * 5 // 9, FILM[1] * 5 // 9), Image.Resampling.LANCZOS))
+        frames.append(take_screenshot(driver).resize((FILM[0] * 5 // 9, FILM[1] * 5 // 9), Image.Resampling.LANCZOS))
     session.paused = False
     move.result()
     driver.quit()
@@ -101,9 +101,9 @@ def main() -> None:
     args = parser.parse_args()
     with Session(Stage("xy", chips="pcl240ms")) as session:
         panel = Panel(session)
-        pictures(session, panel)
+        draw_pictures(session, panel)
         if not args.no_film:
-            film(session, panel)
+            record_film(session, panel)
         panel.close()
 
 

@@ -1,11 +1,12 @@
-"""Why S-curves exist: linear ramps and S-curves of a PCL-240MS on the same stage, in numbers and in one picture.
+"""Comparison of linear ramps and S-curves of a PCL-240MS on the same stage, in numbers and in one picture.
 
 python scripts/s_curve.py                                          prints the numbers
 python scripts/s_curve.py --picture docs/pictures/s_curve.png      and draws them
 
-A camera on a mast (models/xy_mast.xml) rings after a stop; the bare xyz stage shows following error and the highest rate without
-lost steps. An S-curve is compared with a linear ramp of equal time, where its peak acceleration is twice as high, and with one
-of equal peak acceleration, where its ramp takes twice as long. docs/s_curve.md says how to read it.
+A camera on a mast (models/xy_mast.xml) rings after a stop. The xyz stage without a mast shows the following error and the highest
+rate without lost steps. An S-curve is compared with a linear ramp of equal time, compared with which its peak acceleration is
+twice as high, and with a linear ramp of equal peak acceleration, compared with which its ramp takes twice as long.
+docs/s_curve.md explains the results.
 """
 
 from __future__ import annotations
@@ -46,7 +47,13 @@ GRID = 66_000 * 1.03 ** np.arange(38)  # pps, tried from below; 1 % after bisect
 
 @dataclass(frozen=True)
 class Shape:
-    """A ramp's shape. span: the curved part at each end, in parts of FH - FL; 0 is linear, 1/2 curved all the way."""
+    """Shape of a ramp.
+
+    Attributes:
+        name: Name in the picture.
+        span: Length of the curved part at each end, as a share of FH - FL: 0 for a linear ramp, 1/2 for one without a linear part.
+        color: Color in the picture.
+    """
 
     name: str
     span: float
@@ -54,15 +61,15 @@ class Shape:
 
     @property
     def peak(self) -> float:
-        """Peak over mean acceleration."""
+        """Peak acceleration divided by mean acceleration."""
         return 1 + 2 * self.span
 
     def profile(self, rate: float, ramp: float) -> Profile:
-        """FL to `rate` pps in `ramp` s."""
+        """Return the profile from FL to `rate` pps in `ramp` s."""
         return Profile.of(FL, rate, rate, ramp, multiplier=R7, s_curve=self.span or False, chip=PCL240MS)
 
     def acceleration(self, part: np.ndarray) -> np.ndarray:
-        """Acceleration over its mean where `part` of the way from FL to FH is done."""
+        """Return the acceleration divided by its mean, where a share `part` of the way from FL to FH is done."""
         if not self.span:
             return np.ones_like(part)
         return self.peak * np.sqrt(np.minimum(np.minimum(part, 1 - part) / self.span, 1))
@@ -80,7 +87,16 @@ MARK: dict[str, Any] = {"color": MUTED_COLOR, "lw": 1, "ls": (0, (2, 2))}
 
 @dataclass(frozen=True)
 class Run:
-    """Samples of a move from its start on: seconds, rate in pps, following error in m, bend of the mast in m."""
+    """Samples of a move from its start on.
+
+    Attributes:
+        seconds: Time, s.
+        rate: Pulse rate, pps.
+        error: Following error, m.
+        bend: Bend of the mast, m.
+        stopped: Time of the stop, s.
+        lost: Number of lost full steps.
+    """
 
     seconds: np.ndarray
     rate: np.ndarray
@@ -103,18 +119,18 @@ class Run:
 
     @property
     def swing(self) -> float:
-        """Amplitude of the carriage's own swing, m: half the span of the following error in the 0.1 s after the ramp-up."""
+        """Amplitude of the carriage's own oscillation, m: half the range of the following error in the 0.1 s after the ramp-up."""
         top = int(np.argmax(self.rate >= 0.9999 * self.rate.max())) + round(2e-3 / EVERY)
         return float(np.ptp(self.error[top : top + round(0.1 / EVERY)])) / 2
 
     @property
     def ringing(self) -> float:
-        """Largest bend after the stop, m."""
+        """Largest bend of the mast after the stop, m."""
         return float(abs(self.bend[~self.moving]).max())
 
     @property
     def quiet(self) -> float:
-        """Seconds from the start until the camera stays within BAND of its place."""
+        """Time from the start until the camera stays within BAND of its place, s."""
         out = np.flatnonzero(~self.moving & (abs(self.bend) > BAND))
         return float(self.seconds[out[-1]]) if len(out) else self.stopped
 
@@ -133,12 +149,32 @@ def power_up(model: str) -> tuple[Stage, Any]:
 
 
 def move(stage: Stage, shape: Shape, rate: float, ramp: float, pulses: int) -> Report:
-    """A preset move of X; the automatic ramp-down point comes five pulses early, for these to be made at FL."""
+    """Make a preset move of X, whose automatic ramp-down begins five pulses early, so that these are made at FL; return the report.
+
+    Args:
+        stage: Stage to move.
+        shape: Shape of the ramps.
+        rate: FH, pps.
+        ramp: Duration of each ramp, s.
+        pulses: Distance, pulses.
+    """
     return firmware.preset_move(stage.axes["x"], pulses, shape.profile(rate, ramp), automatic=True, down_point=AT_FL)
 
 
 def run(shape: Shape, rate: float, ramp: float, pulses: int, model: str = "xy_mast", rest: float = 0.2) -> Run:
-    """Make a move and record it, and `rest` seconds more."""
+    """Make a move and record it.
+
+    Args:
+        shape: Shape of the ramps.
+        rate: FH, pps.
+        ramp: Duration of each ramp, s.
+        pulses: Distance, pulses.
+        model: Name of the model.
+        rest: Time after the stop that is recorded as well, s.
+
+    Returns:
+        The samples.
+    """
     stage, begin = power_up(model)
     stage.restore(begin)
     with stage.record(every=EVERY) as recording:
@@ -163,14 +199,24 @@ def keeps_step(shape: Shape, rate: float, ramp: float, pulses: int = LONG) -> bo
 
 @dataclass(frozen=True)
 class Limit:
-    """rate: the highest, pps, up to which no rate tried loses a step (0: none). lucky: higher ones that lose none all the same."""
+    """Highest rate of a kind of ramp.
+
+    Attributes:
+        rate: Highest rate up to which no tried rate loses a step, pps; 0: none.
+        lucky: Higher rates that happen to lose no step, pps.
+    """
 
     rate: float
     lucky: list[float]
 
 
 def highest_rate(shape: Shape, ramp: float) -> Limit:
-    """Up GRID until three rates in a row lose steps; the first loss is bisected to 1 %."""
+    """Find the highest rate without lost steps: up GRID until three in a row lose steps, then bisect the first loss to 1 %.
+
+    Args:
+        shape: Shape of the ramps.
+        ramp: Duration of each ramp, s.
+    """
     rates, in_step = GRID[(GRID + FL) * ramp < LONG], []
     for rate in rates:
         in_step.append(keeps_step(shape, rate, ramp))
@@ -187,7 +233,12 @@ def highest_rate(shape: Shape, ramp: float) -> Limit:
 
 
 def find_shortest_ramp(shape: Shape, rate: float) -> float:
-    """Seconds, down from 30 ms by 4 % as long as no step is lost."""
+    """Find the shortest ramp without lost steps, s: from 30 ms down in steps of 4 %.
+
+    Args:
+        shape: Shape of the ramps.
+        rate: FH, pps.
+    """
     ramp = 0.03
     while keeps_step(shape, rate, ramp / 1.04, SHORT):
         ramp /= 1.04
@@ -195,7 +246,7 @@ def find_shortest_ramp(shape: Shape, rate: float) -> float:
 
 
 def mast() -> tuple[float, float]:
-    """Natural frequency, Hz, and damping ratio of the mast, from the model."""
+    """Return the natural frequency, Hz, and the damping ratio of the mast, from the model."""
     model = power_up("xy_mast")[0].model
     joint, mass = model.joint("camera_x"), model.body("camera").mass[0]
     omega = float(np.sqrt(joint.stiffness[0] / mass))
@@ -203,10 +254,14 @@ def mast() -> tuple[float, float]:
 
 
 def ringing_in_theory(shape: Shape, ramp: np.ndarray) -> np.ndarray:
-    """Bend after the stop, m: (1 + what damping leaves of the first ramp's ringing) (v / w) |A|.
+    """Compute the bend after the stop in theory, m: (1 + what damping leaves of the first ramp's ringing) (v / w) |A|.
 
-    The acceleration is a box convolved with a shorter one, and A their spectra at the mast's frequency: sinc(f T) for the linear
-    ramp, sinc(f T / 2)^2 for the S-curve.
+    The acceleration is a box convolved with a shorter box. A is its spectrum at the mast's frequency: sinc(f T) for the
+    linear ramp, sinc(f T / 2)^2 for the S-curve.
+
+    Args:
+        shape: Shape of the ramps.
+        ramp: Durations of a ramp, s.
     """
     f, damping = mast()
     omega = 2 * np.pi * f
@@ -220,25 +275,26 @@ def ringing_in_theory(shape: Shape, ramp: np.ndarray) -> np.ndarray:
 
 @cache
 def camera_runs() -> dict[tuple[Shape, float], Run]:
-    """Equal ramp time, then the S-curves at the linear ramp's peak acceleration."""
+    """Return runs with equal ramp time, then S-curves with the linear ramp's peak acceleration, by shape and ramp time."""
     cases = [*((s, RAMP) for s in SHAPES), *((s, RAMP * s.peak) for s in SHAPES[1:])]
     return {(s, t): run(s, RATE, t, PULSES, rest=4.0) for s, t in cases}
 
 
 @cache
 def bare_runs(rate: float, ramp: float) -> dict[tuple[Shape, float], Run]:
+    """Return runs of the xyz stage at a rate, by shape and ramp time."""
     return {(s, ramp): run(s, rate, ramp, LONG, model="xyz") for s in SHAPES}
 
 
 @cache
 def ringing() -> dict[Shape, np.ndarray]:
-    """Over RAMPS, m."""
+    """Return the ringing over RAMPS, m, for each shape."""
     return {s: np.array([run(s, RATE, t, PULSES).ringing for t in RAMPS]) for s in SHAPES}
 
 
 @cache
 def limits() -> dict[Shape, list[Limit]]:
-    """Over LIMITS."""
+    """Return the highest rates over LIMITS for each shape."""
     return {s: [highest_rate(s, t) for t in LIMITS] for s in SHAPES}
 
 
@@ -288,7 +344,7 @@ def draw_the_moves(ax: Any) -> None:
 
 
 def draw_the_mast(ax: Any) -> None:
-    """A sketch of models/xy_mast.xml."""
+    """Draw a sketch of models/xy_mast.xml."""
     z = np.linspace(0, 1, 40)
     for lean, alpha in ((-0.22, 0.25), (0.22, 0.25), (0, 1)):
         ax.plot(lean * z**2 * (3 - z) / 2, z, color=MUTED_COLOR, lw=3, alpha=alpha, solid_capstyle="butt")

@@ -41,7 +41,16 @@ BLUE, LIGHT, ORANGE, RED = "#17508f", "#8fb3d9", "#e8b04a", "#d1571f"
 
 
 class Trapezoid(NamedTuple):
-    """time: s from the profile's first sample; command, position: counts; error, predicted: counts, at the chip's samples."""
+    """Trapezoidal move of a servo, and its prediction by the linear model.
+
+    Attributes:
+        report: Report of the move.
+        time: Time from the profile's first sample, s.
+        command: Commanded position at the chip's samples, counts.
+        position: Position at the chip's samples, counts.
+        error: Following error at the chip's samples, counts.
+        predicted: Following error that the linear model predicts, counts.
+    """
 
     report: ServoMoveReport
     time: np.ndarray
@@ -52,11 +61,12 @@ class Trapezoid(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """Largest difference between simulated and predicted error, over the largest error predicted."""
+        """Largest difference between simulated and predicted error, divided by the largest predicted error."""
         return float(np.abs(self.error - self.predicted).max() / np.abs(self.predicted).max())
 
 
-def a_stage(**places: float) -> Stage:
+def make_stage_at(**places: float) -> Stage:
+    """Make a servo stage with its carriages at the given positions, m, by axis."""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     stage.place(**places)
     return stage
@@ -81,8 +91,14 @@ def commands(port: ChipPort, begin: int, samples: int) -> np.ndarray:
 
 
 def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str = "x") -> Trapezoid:
-    """A move, and what the linear model says that it will be."""
-    stage = a_stage(x=-0.05)
+    """Make a trapezoidal move, and predict it by the linear model.
+
+    Args:
+        tuning: Filter of the chip.
+        counts: Distance, counts.
+        name: Name of the axis.
+    """
+    stage = make_stage_at(x=-0.05)
     axis = stage.axes[name]
     port = set_up_servo(axis, tuning)
     stage.run(0.1)
@@ -107,7 +123,7 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     Args:
         early: Write each command at the beginning of a sample, not in its safe part.
     """
-    stage = a_stage(x=-0.05)
+    stage = make_stage_at(x=-0.05)
     axis = stage.axes["x"]
     port = set_up_servo(axis, TUNING)
     at = port.read_command_position()
@@ -128,7 +144,7 @@ def run_circle(sync: bool, leader_only: bool, tuning: FilterTuning = TUNING) -> 
     Returns:
         Angle in turns; distance from the circle that begins where the carriages stand, um; number of commands written too early.
     """
-    stage = a_stage(x=0.0, y=-0.03, z=-0.03)
+    stage = make_stage_at(x=0.0, y=-0.03, z=-0.03)
     for name, counts in PHASES.items():
         stage.run(counts * 16 / stage.axes[name].chip.clock_hz)
         stage.axes[name].chip.write(maps.MODE, RESET)  # a reset: its sample begins now
@@ -218,7 +234,7 @@ def draw_the_circles(ax: Any, circles: dict[str, tuple[np.ndarray, np.ndarray, i
     ax.legend(frameon=False, loc="upper right")
 
 
-def picture(r: Results, path: Path) -> None:
+def draw_picture(r: Results, path: Path) -> None:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -247,6 +263,6 @@ if __name__ == "__main__":
         results = simulate()
         print_results(results)
         if args.picture:
-            picture(results, args.picture)
+            draw_picture(results, args.picture)
     except ExtraMissing as missing:
         sys.exit(f"{missing}")

@@ -46,14 +46,20 @@ MASK = 0xFFFFFF  # of R0 and R10
 
 
 class Fault(Exception):
-    """A check failed."""
+    """Error of a failed check."""
 
 
 class Move:
-    """One axis' share of a round: what to write, and what should come of it."""
+    """Random move of one axis in a round, and its expected result.
+
+    Args:
+        rng: Random generator.
+        axis: Axis that moves.
+        place: Position in pulses from the origin.
+        room: Smallest and largest position that the axis may reach, pulses.
+    """
 
     def __init__(self, rng, axis, place, room):
-        """place: pulses from the origin; room: (least, most) of them that the axis may reach."""
         self.axis, self.chip, self.k = axis, axis.chip, axis.index
         kind = type(axis.chip)
         rates = np.exp(rng.uniform(*np.log(RATES), 2))
@@ -85,8 +91,8 @@ class Move:
         if self.kind == "dual":  # without a curve: the ramp-down begins early enough for either rate
             self.profile = self.profile.with_ramp_shape(False) if kind.S_CURVES else self.profile
 
-    def load(self, program):
-        """Write the registers and the mode; the start is another one."""
+    def write_registers(self, program):
+        """Append the writes of the registers and the mode to a program; the start command follows elsewhere."""
         chip, k, kind = self.chip, self.k, type(self.chip)
         profile, fh2 = self.profile, self.fh2
         control = (
@@ -114,8 +120,8 @@ class Move:
             program.register(k, chip, name, value)
         program.command(k, chip_port.OUTPUT).command(k, control)
 
-    def events(self):
-        """(seconds after the start, commands) of what happens in motion."""
+    def list_events(self):
+        """List (seconds after the start, commands) of what the host writes while the axis moves."""
         slow = chip_port.SLOW_DOWN["FH2" if self.fh2 else "FH1"]
         if self.kind == "dual":
             return [(self.when, chip_port.RAMP["FH1" if self.fh2 else "FH2"])]
@@ -131,7 +137,11 @@ class Move:
 
 
 def read_register(program, axis, chip, name):
-    """Read R0, or another register of an MK or MS; returns the places of its three bytes in the results, high to low."""
+    """Append reads of R0, or of another register of an MK or MS, to a program.
+
+    Returns:
+        Indices of its three bytes in the results, the highest first.
+    """
     if name != "R0":
         program.command(axis, chip_port.OUTPUT | chip_port.EXTENSION)
         program.command(axis, chip_port.SELECT | chip_port.COLLECTIVE | chip.MAP.register(name).number)
@@ -145,7 +155,11 @@ def read_register(program, axis, chip, name):
 
 
 class Soak:
-    """The stage, what it should have done so far, and the worst that was seen."""
+    """Soak run: the stage, the expected counts so far, and the largest deviations.
+
+    Args:
+        seed: Seed of the random moves.
+    """
 
     def __init__(self, seed):
         self.seed, self.rng = seed, np.random.default_rng(seed)
@@ -168,29 +182,31 @@ class Soak:
 
     @property
     def hours(self):
+        """Simulated time so far, h."""
         return self.stage.time / 3600
 
-    def round(self):
-        """One round of moves, or of origin returns."""
+    def run_round(self):
+        """Run one round of moves, or of origin returns."""
         if self.rounds % RETURN_EVERY == 0:
             for k in self.rng.permutation(len(self.axes)):
-                self.home(self.axes[k])
+                self.run_origin_returns(self.axes[k])
         else:
-            self.move()
+            self.run_moves()
         self.rounds += 1
-        self.memory.append((self.hours, resident()))
+        self.memory.append((self.hours, read_resident_memory()))
 
-    def move(self):
+    def run_moves(self):
+        """Run a round of random moves, and check the result."""
         rng = self.rng
         selected = rng.permutation(len(self.axes))[: rng.integers(1, len(self.axes) + 1)]
-        moves = [self.draw(k) for k in selected]
+        moves = [self.draw_move(k) for k in selected]
         program, mask = Program(), [int(k) for k in selected]
         for m in moves:
-            m.load(program)
+            m.write_registers(program)
         for m in moves:
             program.command(m.k, m.start)
         now = 0.0
-        for when, k, command in sorted((t, m.k, c) for m in moves for t, c in m.events()):
+        for when, k, command in sorted((t, m.k, c) for m in moves for t, c in m.list_events()):
             program.wait(max(0.0, when - now)).command(k, command)
             now = max(now, when)
         stopped = [len(program)]
@@ -236,17 +252,18 @@ class Soak:
                 )
         self.check(truth, description)
 
-    def draw(self, k):
-        """A move of axis k at random; again where the registers cannot hold it."""
+    def draw_move(self, k):
+        """Draw a random move of axis k, again if the registers cannot hold it."""
         while True:
             try:
                 drawn = Move(self.rng, self.axes[k], self.expected[k], self.rooms[k])
-                drawn.load(Program())
+                drawn.write_registers(Program())
                 return drawn
             except ArgumentError:
                 self.redrawn += 1
 
-    def home(self, axis):
+    def run_origin_returns(self, axis):
+        """Make an origin return of an axis, and check the result."""
         fast = Profile.of(
             fl=self.rng.uniform(500, 1500), fh1=self.rng.uniform(5_000, 20_000), accel=self.rng.uniform(0.1, 0.3),
             clock_hz=axis.chip.clock_hz, chip=type(axis.chip),
@@ -285,23 +302,29 @@ class Soak:
                     f"axis {axis.name}: {off:.2f} pulses from where it should be, allowed are {AT_REST}: {description}"
                 )
 
-    def growth(self):
-        """(MiB, MiB allowed) by which a line through the resident set rises, past the first tenth, which warms up."""
+    def compute_growth(self):
+        """Compute the growth of the process after the first tenth of the run, in which it warms up.
+
+        Returns:
+            MiB by which a line through the resident set rises, and MiB that are allowed.
+        """
         samples = np.array(self.memory[len(self.memory) // 10 :])
         if len(samples) < 10:
             return 0.0, GROWTH
         hours = float(np.ptp(samples[:, 0]))
         return float(np.polyfit(*samples.T, 1)[0]) * hours, GROWTH + GROWTH_PER_HOUR * hours
 
-    def line(self):
+    def format_progress(self):
+        """Return a line about the progress."""
         wall = time.perf_counter() - self.began
         return (
             f"{self.hours:8.3f} h simulated  {wall:7.1f} s  {self.moves:6d} moves  {self.homings:4d} homings  "
-            f"worst {self.worst:.2f}, home {self.worst_home:.2f} pulses  {resident():.1f} MiB"
+            f"worst {self.worst:.2f}, home {self.worst_home:.2f} pulses  {read_resident_memory():.1f} MiB"
         )
 
-    def summary(self, outcome):
-        grown, allowed = self.growth()
+    def make_summary(self, outcome):
+        """Return the summary as a dict, with the reason for the end."""
+        grown, allowed = self.compute_growth()
         return {
             "ended": outcome, "seed": self.seed, "simulated_hours": self.hours,
             "wall_seconds": round(time.perf_counter() - self.began, 1),
@@ -311,12 +334,12 @@ class Soak:
             "redrawn": self.redrawn, "pulses": self.pulses,
             "homings": self.homings, "worst_at_rest_pulses": self.worst, "worst_home_pulses": self.worst_home,
             "allowed_pulses": [AT_REST, HOME_SPREAD],
-            "memory_mib": resident(), "memory_growth_mib": grown, "memory_growth_allowed_mib": allowed,
+            "memory_mib": read_resident_memory(), "memory_growth_mib": grown, "memory_growth_allowed_mib": allowed,
         }  # fmt: skip
 
 
-def resident():
-    """Resident set of this process, MiB."""
+def read_resident_memory():
+    """Return the resident set of this process, MiB."""
     try:
         with Path("/proc/self/statm").open() as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
@@ -330,19 +353,19 @@ def soak(hours, seed, say=print):
     last_report, outcome = time.perf_counter(), "done"
     try:
         while run.hours < hours:
-            run.round()
+            run.run_round()
             if time.perf_counter() - last_report >= REPORT_EVERY:
                 last_report = time.perf_counter()
-                say(run.line())
-        grown, allowed = run.growth()
+                say(run.format_progress())
+        grown, allowed = run.compute_growth()
         if grown > allowed:
             outcome = f"the process grew by {grown:.2f} MiB, allowed are {allowed:.2f}"
     except KeyboardInterrupt:
         outcome = "interrupted"
     except (Fault, StageError) as fault:
         outcome = f"round {run.rounds} at {run.stage.time:.3f} s: {fault}"
-    say(run.line())
-    return run.summary(outcome)
+    say(run.format_progress())
+    return run.make_summary(outcome)
 
 
 def main(argv=None):

@@ -28,7 +28,7 @@ PRUNERS = {"none": "NopPruner", "median": "MedianPruner", "hyperband": "Hyperban
 """Names on the command line -> Optuna's."""
 
 
-def parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--out", required=True, metavar="FILE|URL", help="where the study is kept: made, or gone on with")
     p.add_argument("--trials", type=int, metavar="N", help="run until so many are finished; without: print the best")
@@ -43,38 +43,40 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--space",
         nargs="+",
-        type=pair,
+        type=parse_pair,
         default=[],
         metavar="R2=400:2800",
         help="12 | 10,20,40 | low:high | low:high:log",
     )
-    p.add_argument("--option", nargs="+", type=pair, default=[], metavar="NAME=JSON", help="of the objective")
+    p.add_argument("--option", nargs="+", type=parse_pair, default=[], metavar="NAME=JSON", help="of the objective")
     p.add_argument("--top", type=int, default=10, help="how many of the best to print (10)")
     return p
 
 
-def pair(text: str) -> tuple[str, str]:
+def parse_pair(text: str) -> tuple[str, str]:
+    """Parse NAME=VALUE."""
     name, equals, value = text.partition("=")
     if not (name and equals and value):
         raise argparse.ArgumentTypeError(f"{text!r}: give NAME=VALUE")
     return name, value
 
 
-def read(text: str) -> Any:
+def parse_value(text: str) -> Any:
+    """Parse a value as JSON, or return the text if it is not JSON."""
     try:
         return json.loads(text)
     except ValueError:
         return text
 
 
-def objective(args: argparse.Namespace) -> Any:
-    """The objective with its options. Raises ArgumentError."""
-    options = {name: read(text) for name, text in args.option}
+def make_objective(args: argparse.Namespace) -> Any:
+    """Make the objective with its options. Raises ArgumentError."""
+    options = {name: parse_value(text) for name, text in args.option}
     if args.goals:
         options["goals"] = tuple(args.goals)
     if args.space:
         options["space"] = (SPACE if args.objective is None else {}) | dict(args.space)
-    created = PresetMoves if args.objective is None else results(args.objective)
+    created = PresetMoves if args.objective is None else load_study(args.objective)
     if not isinstance(created, type):
         if options:
             raise ArgumentError(f"{args.objective} is a function: it takes no {', '.join(options)}.")
@@ -87,7 +89,7 @@ def objective(args: argparse.Namespace) -> Any:
         raise ArgumentError(f"{error}. Options: {', '.join(created.__annotations__)}.") from None
 
 
-def results(name: str) -> Any:
+def load_study(name: str) -> Any:
     module, _, attribute = name.partition(":")
     try:
         return getattr(import_module(module), attribute)
@@ -95,7 +97,7 @@ def results(name: str) -> Any:
         raise ArgumentError(f"--objective {name}: give MODULE:NAME that can be imported here ({error}).") from error
 
 
-def show(study: Any, top: int) -> None:
+def print_results(study: Any, top: int) -> None:
     """Print the best trials, or the Pareto front, and why trials failed."""
     trials = study.get_trials(deepcopy=False)
     goals = len(study.directions)
@@ -117,7 +119,7 @@ def show(study: Any, top: int) -> None:
 
 
 def main() -> int:
-    args = parser().parse_args()
+    args = make_parser().parse_args()
     sys.path.insert(0, str(Path.cwd()))  # an objective may lie beside you; workers take the path over
     try:
         if args.trials is None:
@@ -128,8 +130,8 @@ def main() -> int:
                 getattr(optuna.pruners, PRUNERS[args.pruner]),
             )
             how = {"sampler": sampler, "pruner": pruner(), "seed": args.seed}
-            study = run(objective(args), args.out, args.trials, workers=args.workers, **how)
-        show(study, args.top)
+            study = run(make_objective(args), args.out, args.trials, workers=args.workers, **how)
+        print_results(study, args.top)
     except StageError as error:
         print(f"sweep: {error}", file=sys.stderr)
         return 2

@@ -1,4 +1,4 @@
-"""How straight are a:b moves? 200 random pairs of distances on emulated chips; every number of docs/synchronized.md.
+"""Survey of how straight a:b moves are: 200 random pairs of distances on emulated chips; all numbers of docs/synchronized.md.
 
 python scripts/synchronized_survey.py                     the tables
 python scripts/synchronized_survey.py --pictures          and docs/pictures/synchronized*.png
@@ -22,8 +22,13 @@ from stage.firmware.pcl240.register_row_pulses import trace_row
 DELAYS = (1e-6, 1e-5, 1e-4)
 
 
-class Moves:
-    """a:b moves of one chip with one shape of ramps."""
+class MovePlanner:
+    """Planner of a:b moves of one chip with one shape of ramps.
+
+    Args:
+        chip: Class of the chips.
+        **shape: Shape of the ramps, as arguments of the planner.
+    """
 
     def __init__(self, chip=PCL240K, **shape):
         self.chip, self.shape = chip, shape
@@ -37,7 +42,7 @@ class Moves:
         return plan(distances, chips=self.chip, **self.shape, **options)
 
     def row(self, *registers):
-        """Registers as fit.py takes them, with ramps of this shape."""
+        """Return the registers as a row with the S-curve registers of this shape."""
         share = float(self.shape.get("s_curve", 0.0))
         row = np.array([*registers, *[0] * (2 * self.chip.S_CURVES)])
         set_s_curve_registers(row, min(share, 0.5))
@@ -48,14 +53,14 @@ class Moves:
         return f"{self.chip.MAP.chip}{', ' + shape if shape else ''}"
 
 
-def random_distances(rng, names, low=100, high=50_000):
+def draw_random_distances(rng, names, low=100, high=50_000):
     return {n: rng.choice((-1, 1)) * rng.randint(low, high) for n in names}
 
 
-def common_multiplier(moves, line_plan):
-    """Compute the deviation when both axes must do with one R7, the finest that reaches the rate.
+def compute_common_multiplier_deviation(moves, line_plan):
+    """Compute the deviation when both axes use one R7, the finest that reaches the rate.
 
-    Every register is rounded to the nearest; R6 = Psd and 5 pulses of the longest axis.
+    All other registers are rounded to the nearest value; R6 is Psd and 5 pulses of the longest axis.
     """
     long = line_plan.axes[line_plan.order[-1]]
     r7 = int(long.clock_hz * 8191 / (8192 * long.fh))
@@ -73,7 +78,7 @@ def common_multiplier(moves, line_plan):
     return compute_path_deviation(pulses, [abs(a.distance) for a in line_plan.axes.values()]).pulses
 
 
-def row(name, values, unit=""):
+def print_row(name, values, unit=""):
     v = np.asarray(values)
     median, limit, top = np.percentile(v, (50, 95, 100))
     print(f"| {name:44} | {median:8.3g}{unit} | {limit:8.3g}{unit} | {top:8.3g}{unit} | {np.mean(v <= 2):6.1%} |")
@@ -82,12 +87,12 @@ def row(name, values, unit=""):
 def survey(moves, pairs, seed):
     rng = random.Random(seed)
     moves.plan({"x": 1000, "y": 700})  # compiles
-    requests = [random_distances(rng, "xy") for _ in range(pairs)]
+    requests = [draw_random_distances(rng, "xy") for _ in range(pairs)]
     reports = [moves(d) for d in requests]
     exact = sum(r.axes[n].pulses == d[n] for r, d in zip(reports, requests, strict=True) for n in d)
     deviations = [r.deviation.pulses for r in reports]
     perfect = [r.plan.perfect for r in reports]
-    common = [common_multiplier(moves, r.plan) for r in reports]
+    common = [compute_common_multiplier_deviation(moves, r.plan) for r in reports]
     durations = []
     for d in requests:
         begin = time.process_time()
@@ -101,32 +106,32 @@ def survey(moves, pairs, seed):
     print(
         f"| {'largest distance from the line, pulses':44} |   median |     95 % |  largest | <= 2   |\n|---|---|---|---|---|"
     )
-    row("planned, run on emulated chips", deviations)
-    row("perfect axes: rates exactly in ratio", perfect)
-    row("one R7 for both axes, the finest", common)
+    print_row("planned, run on emulated chips", deviations)
+    print_row("perfect axes: rates exactly in ratio", perfect)
+    print_row("one R7 for both axes, the finest", common)
     for delay in DELAYS[1:]:
-        row(
+        print_row(
             f"bus cycle {delay * 1e6:.0f} us, planned for",
             [moves(d, delay).deviation.pulses for d in requests],
         )
-        row(
+        print_row(
             f"bus cycle {delay * 1e6:.0f} us, not planned for",
             [r.plan.with_bus_delay(delay).deviation for r in reports],
         )
-    three = [moves(random_distances(rng, "xyz")) for _ in range(pairs // 2)]
-    row(f"three axes, {len(three)} moves", [r.deviation.pulses for r in three])
-    row("three perfect axes", [r.plan.perfect for r in three])
+    three = [moves(draw_random_distances(rng, "xyz")) for _ in range(pairs // 2)]
+    print_row(f"three axes, {len(three)} moves", [r.deviation.pulses for r in three])
+    print_row("three perfect axes", [r.plan.perfect for r in three])
     fast = [moves(d, rate=200_000, fl=4000, accel=0.1) for d in requests]
-    row("rate 200,000 pps", [r.deviation.pulses for r in fast])
-    wild, refused = anything(moves, rng, pairs)
-    row(f"anything, {len(wild)} moves", wild)
+    print_row("rate 200,000 pps", [r.deviation.pulses for r in fast])
+    wild, refused = survey_random_moves(moves, rng, pairs)
+    print_row(f"anything, {len(wild)} moves", wild)
     long = [
-        moves.plan(random_distances(rng, "xy", 1_000_000, 16_777_215), rate=r)
+        moves.plan(draw_random_distances(rng, "xy", 1_000_000, 16_777_215), rate=r)
         for _ in range(25)
         for r in (16_000, 200_000)
     ]
-    row("over a million pulses, 16,000 pps, estimate", [p.deviation for p in long[::2]])
-    row("over a million pulses, 200,000 pps, estimate", [p.deviation for p in long[1::2]])
+    print_row("over a million pulses, 16,000 pps, estimate", [p.deviation for p in long[::2]])
+    print_row("over a million pulses, 200,000 pps, estimate", [p.deviation for p in long[1::2]])
     print(
         f"\nanything: 2 or 3 axes, 1 to 100,000 pulses, rate 50 to 240,000 pps, FL 5 to 5000 pps, ramps 2 ms to 2 s, all evenly\n"
         f"spread on a log scale; {refused} more were refused, with the reason"
@@ -142,8 +147,8 @@ def survey(moves, pairs, seed):
     return requests, deviations, perfect, common
 
 
-def anything(moves, rng, number):
-    """Deviations of moves with everything at random, and how many were refused."""
+def survey_random_moves(moves, rng, number):
+    """Compute the deviations of moves with random values of everything, and count the refused ones."""
 
     def between(low, high):
         return low * (high / low) ** rng.random()
@@ -210,8 +215,8 @@ def draw(requests, deviations, perfect, common, folder):
     set_title(left, "How far from the line, of all moves")
     set_title(right, "How far, over the ratio")
     fig.savefig(f"{folder}/synchronized.png", dpi=150)
-    Moves()({"x": 20_000, "y": -7_500}).plot(f"{folder}/synchronized_move.png", overwrite=True)
-    Moves(PCL240MS, s_curve=True, automatic=True)({"x": 20_000, "y": -7_500}, accel=0.3).plot(
+    MovePlanner()({"x": 20_000, "y": -7_500}).plot(f"{folder}/synchronized_move.png", overwrite=True)
+    MovePlanner(PCL240MS, s_curve=True, automatic=True)({"x": 20_000, "y": -7_500}, accel=0.3).plot(
         f"{folder}/synchronized_s_curve.png", "a:b move with S-curves, x +20,000, y -7,500 pulses", overwrite=True
     )
 
@@ -226,6 +231,6 @@ if __name__ == "__main__":
     args = parser.parse_args()
     shape = ({"s_curve": args.s_curve} if args.s_curve else {}) | ({"automatic": True} if args.automatic else {})
     chip = PCL240MS if args.s_curve else PCL240MK if args.automatic else PCL240K
-    result = survey(Moves(chip, **shape), args.pairs, args.seed)
+    result = survey(MovePlanner(chip, **shape), args.pairs, args.seed)
     if args.pictures:
         draw(*result, args.pictures)

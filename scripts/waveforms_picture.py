@@ -70,8 +70,8 @@ gtkwave::/File/Quit
 """
 
 
-def waveforms(folder: Path) -> Path:
-    """The VCD of the run."""
+def record_waveforms(folder: Path) -> Path:
+    """Run the firmware, and return the path of its VCD file."""
     source = folder / "firmware.c"
     source.write_text(FIRMWARE)
     board = Board(Stage("xy", visuals=False))
@@ -80,8 +80,8 @@ def waveforms(folder: Path) -> Path:
     return recording.to_vcd(folder / "run.vcd")
 
 
-def full_names(vcd: Path) -> list[str]:
-    """SHOWN as GTKWave names them: vectors with their range."""
+def list_full_names(vcd: Path) -> list[str]:
+    """List SIGNALS with the names that GTKWave gives them: vectors with their range."""
     scope, signals = [], {}
     for line in vcd.read_text().splitlines():
         words = line.split()
@@ -103,10 +103,10 @@ def main(picture: Path) -> None:
         if shutil.which(tool) is None:
             sys.exit(f"{tool} is not installed. Debian: apt-get install gtkwave xvfb xauth")
     with tempfile.TemporaryDirectory() as folder:
-        vcd = waveforms(Path(folder))
+        vcd = record_waveforms(Path(folder))
         grabbed = Path(folder) / "grabbed.png"
         script = Path(folder) / "show.tcl"
-        names = " ".join(f"{{{name}}}" for name in full_names(vcd))
+        names = " ".join(f"{{{name}}}" for name in list_full_names(vcd))
         script.write_text(TCL.format(names=names, end=END, picture=grabbed))
         settings = Path(folder) / "gtkwaverc"
         settings.write_text(SETTINGS)

@@ -46,8 +46,8 @@ def test_the_same_seed_is_the_same_day(monkeypatch):
 def soak_after_two_rounds():
     """Soak run after two rounds, with a snapshot of its stage and a copy of its counts."""
     run = soak.Soak(3)
-    run.round()  # origin returns
-    run.round()
+    run.run_round()  # origin returns
+    run.run_round()
     counted = {name: value for name, value in vars(run).items() if name not in ("stage", "fleet", "axes")}
     return run, run.stage.snapshot(), copy.deepcopy(counted)
 
@@ -76,7 +76,7 @@ def test_lost_steps_are_detected(run, monkeypatch):
 
     def go_on():
         for _ in range(20):
-            run.move()
+            run.run_moves()
 
     with pytest.raises(soak.Fault, match="axis x lost"):
         go_on()
@@ -89,21 +89,21 @@ def test_a_pulse_outside_any_move_is_detected(run):
     run.stage.run(0.05)
     run.axes[1].chip.write(0, 0x08)
     with pytest.raises(soak.Fault):
-        run.move()
+        run.run_moves()
 
 
 def test_an_origin_that_drifts_is_detected(run):
     run.homes["z"] += 2 * soak.HOME_SPREAD
     with pytest.raises(soak.Fault, match="pulses from the first"):
-        run.home(run.axes[2])
+        run.run_origin_returns(run.axes[2])
 
 
 def test_growth_of_the_process_memory_is_detected(run):
     run.memory = [(k / 100, 200 + 0.2 * k) for k in range(100)]
-    grown, allowed = run.growth()
+    grown, allowed = run.compute_growth()
     assert grown > allowed
     run.memory = [(k / 100, 200 + k % 3) for k in range(100)]
-    grown, allowed = run.growth()
+    grown, allowed = run.compute_growth()
     assert grown < allowed
 
 

@@ -1,4 +1,4 @@
-"""Chips alone, without a stage, beside the reference that takes one clock at a time (tests/reference)."""
+"""Benchmark of chips alone, without a stage, compared with the reference that takes one clock at a time (tests/reference)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,13 @@ PULSES = 2_000_000
 
 
 def load_registers(chip: Any, *commands: int, **registers: int) -> Any:
-    """Registers by name, then commands, by the bus cycles that chip and reference both know."""
+    """Write registers, then commands, by bus cycles that the chip and the reference both have; return the chip.
+
+    Args:
+        chip: Chip or reference.
+        *commands: Commands to write.
+        **registers: Values by name.
+    """
     for name, value in registers.items():
         r = PCL240MS.MAP.register(name)
         chip.write(0, SELECT | r.number)
@@ -38,28 +44,29 @@ def load_registers(chip: Any, *commands: int, **registers: int) -> Any:
 
 
 def start_constant_speed(chip: Any) -> Any:
-    """8000 / 16384 pulses a clock, for ever."""
+    """Start an endless drive with 8000 / 16384 pulses a clock, and return the chip."""
     return load_registers(chip, RESET, CONTROL, START["FH1"], R1=50, R2=8000, R7=2)
 
 
 def start_fast_ramp(chip: Any) -> Any:
-    """The fastest ramp there is: R4 = 2, every second clock a speed step."""
+    """Start the fastest possible ramp (R4 = 2: a speed step every second clock), and return the chip."""
     return load_registers(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=2, R5=2, R7=2)
 
 
 def start_s_curve(chip: Any) -> Any:
-    """An S-curve of 7950 speed steps."""
+    """Start an S-curve of 7950 speed steps, and return the chip."""
     profile = Profile(50, 8000, 8000, 3, 3, 2, spans=(0, 0), chip=PCL240MS)
     return load_registers(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
 
 
 def start_linear_ramp(chip: Any) -> Any:
-    """A linear ramp of as many steps, and as the S-curve of the same R4."""
+    """Start a linear ramp with the number of speed steps and the R4 of `start_s_curve`, and return the chip."""
     profile = Profile(50, 8000, 8000, 3, 3, 2, chip=PCL240MS)
     return load_registers(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     ticks = run.choose(20_000, 5_000)
     cases = (
         ("constant", "constant speed", PCL240K, ReferencePCL240K, start_constant_speed, CONSTANT),
@@ -98,7 +105,16 @@ def measure(run: Run) -> Iterator[Figure]:
 def make_advance_work(
     begin: Callable[[Any], Any], make: Any, clocks: int
 ) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A race's entry: a chip, begun anew, that advances."""
+    """Make a work for `measure_alternately`: a chip that is started again before each call and then advances.
+
+    Args:
+        begin: Function that starts the chip.
+        make: Class of the chip.
+        clocks: Clocks of a call.
+
+    Returns:
+        Preparation and work.
+    """
     chip = make()
     fresh = chip.snapshot()
 
@@ -110,7 +126,17 @@ def make_advance_work(
 
 
 def make_reference_work(begin: Callable[[Any], Any], make: Any, ticks: int, traced: bool = False) -> tuple[Any, Any]:
-    """The same for the reference."""
+    """Make a work of the reference, as `make_advance_work` does for a chip.
+
+    Args:
+        begin: Function that starts the reference.
+        make: Class of the reference.
+        ticks: Clocks of a call.
+        traced: Whether pulses are stored.
+
+    Returns:
+        Preparation and work.
+    """
     chip: Any = None
 
     def prepare() -> None:
@@ -128,7 +154,14 @@ def make_reference_work(begin: Callable[[Any], Any], make: Any, ticks: int, trac
 
 
 def make_trace_work(clocks: int) -> tuple[Callable[[], None], Callable[[], Any]]:
-    """The same, and every pulse is noted."""
+    """Make a work in which a chip at constant speed advances and every pulse is stored.
+
+    Args:
+        clocks: Clocks of a call.
+
+    Returns:
+        Preparation and work.
+    """
     chip = start_constant_speed(PCL240K())
     fresh = chip.snapshot()
     return lambda: chip.restore(fresh), lambda: chip.trace(clocks)

@@ -1,4 +1,4 @@
-"""The whole closed loop, three chips in motion, three steppers, fifteen switches, beside bare mj_step on the same model."""
+"""Benchmark of the whole closed loop (three chips in motion, three steppers, fifteen switches), compared with mj_step alone."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ STEPS = 2000
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     yield from compare_with_mj_step(run, make_moving_stage(), "", "")
     yield from compare_with_mj_step(run, make_moving_stage(visuals=False), "_fast", "visuals=False: ")
     curved, linear = measure_ramp_shapes(run)
@@ -30,7 +31,14 @@ def measure(run: Run) -> Iterator[Figure]:
 
 
 def compare_with_mj_step(run: Run, stage: Stage, suffix: str, words: str) -> Iterator[Figure]:
-    """Compare a stage, recorded or not, with mj_step on the same model."""
+    """Yield figures that compare a stage, recorded or not, with mj_step on the same model.
+
+    Args:
+        run: Settings of the benchmark.
+        stage: Stage in motion.
+        suffix: End of the figures' keys.
+        words: End of the figures' names.
+    """
     bare, start = BareModel(stage, STEPS), stage.snapshot()
     recording = None
 
@@ -65,7 +73,11 @@ def compare_with_mj_step(run: Run, stage: Stage, suffix: str, words: str) -> Ite
 
 
 def measure_ramp_shapes(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Seconds for half a second of three axes ramping up and down: with S-curves, and with linear ramps."""
+    """Measure the time for half a second of three axes that ramp up and down.
+
+    Returns:
+        Seconds with S-curves, and with linear ramps, a value a round.
+    """
     stage = Stage("xyz", chips=PCL240MS)
     ports = [ChipPort(axis) for axis in stage.axes.values()]
 

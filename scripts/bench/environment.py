@@ -1,6 +1,7 @@
-"""One environment beside a plain Gymnasium MujocoEnv on the same MJCF, at equal frame skip.
+"""Benchmark of one environment, compared with a plain Gymnasium MujocoEnv on the same MJCF and with the same frame skip.
 
-The overhead of a step is its time less that of the physics in it: as many steps of the stage, or of bare mj_step, in one call.
+The overhead of a step is its time minus the time of its physics, which is measured as the same number of steps of the stage, or
+of mj_step alone, in one call.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ class BaselineEnv(MujocoEnv):
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     if importlib.util.find_spec("imageio") is None:
         print("    left out: gymnasium's MujocoEnv needs imageio; pip install '.[bench]'")
         return
@@ -74,7 +76,16 @@ def measure(run: Run) -> Iterator[Figure]:
 
 
 def make_own_work(k: int, n: int, start: Any) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A race's entry: RegisterBus, its stage put in the middle of a move, an action of k physics steps n times."""
+    """Make a work of RegisterBus, whose stage is put in the middle of a move.
+
+    Args:
+        k: Physics steps of an action.
+        n: Number of actions of a call.
+        start: Snapshot in the middle of a move.
+
+    Returns:
+        Preparation and work.
+    """
     env = gymnasium.make(
         "stage/RegisterBus-v0", waits=(k * DT,), time_limit=1e6, cycles=10**9, disable_env_checker=True
     ).unwrapped
@@ -91,7 +102,16 @@ def make_own_work(k: int, n: int, start: Any) -> tuple[Callable[[], None], Calla
 
 
 def make_baseline(k: int, n: int, bare: BareModel) -> tuple[Callable[[], None], Callable[[], None]]:
-    """The same for the plain environment, under the mean torques of that move."""
+    """Make a work of the plain environment, under the mean torques of the same move.
+
+    Args:
+        k: Physics steps of an action.
+        n: Number of actions of a call.
+        bare: Model with the mean torques.
+
+    Returns:
+        Preparation and work.
+    """
     env = BaselineEnv(find_model_path(), k)
     torque = bare.torque.astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""What a benchmark finds: figures with their spread, curves of cost, and targets to hold them against."""
+"""Results of a benchmark: figures with their spread, curves of cost, and targets with which they are compared."""
 
 from __future__ import annotations
 
@@ -11,18 +11,32 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Run:
-    """Settings of a benchmark: rounds of each comparison; `quick` shortens long ones."""
+    """Settings of a benchmark.
+
+    Attributes:
+        rounds: Number of rounds of each comparison.
+        quick: Whether long comparisons are shortened.
+    """
 
     rounds: int = 7
     quick: bool = False
 
     def choose(self, full: Any, quick: Any) -> Any:
+        """Return the first value for a full run, the second for a quick one."""
         return quick if self.quick else full
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured number. key: unique, "subject.name"; values: one a round; note: what a reader must know."""
+    """One measured number.
+
+    Attributes:
+        key: Unique key, "subject.name".
+        name: Name in the table.
+        unit: Unit of the values.
+        values: Value of each round.
+        note: Remark that a reader needs to understand the number.
+    """
 
     key: str
     name: str
@@ -32,6 +46,7 @@ class Figure:
 
     @classmethod
     def of(cls, key: str, name: str, unit: str, values: Any, note: str = "") -> Figure:
+        """Make a figure from any sequence of values."""
         return cls(key, name, unit, tuple(np.atleast_1d(np.asarray(values, float)).tolist()), note)
 
     @property
@@ -49,7 +64,17 @@ class Figure:
 
 @dataclass(frozen=True)
 class Curve:
-    """Cost over size. cost: (rounds, sizes), in `unit`; `fitted_from`: the least size that `exponent` looks at."""
+    """Cost as a function of a size.
+
+    Attributes:
+        key: Unique key, "subject.name".
+        name: Name in the table.
+        over: Name of the size.
+        unit: Unit of the cost.
+        sizes: Sizes that were measured.
+        cost: Cost of each round at each size, (rounds, sizes).
+        fitted_from: Smallest size that counts for `exponents`.
+    """
 
     key: str
     name: str
@@ -67,7 +92,7 @@ class Curve:
         return cls(key, name, over, unit, tuple(map(float, sizes)), rows, float(fitted_from))
 
     def exponents(self) -> np.ndarray:
-        """P of cost ~ size^p, a value a round: least squares in logarithms from `fitted_from` on."""
+        """Compute p of cost ~ size^p for each round, by least squares of the logarithms from `fitted_from` on."""
         upper = np.asarray(self.sizes) >= self.fitted_from
         x = np.log(np.asarray(self.sizes)[upper])
         y = np.log(np.asarray(self.cost)[:, upper])
@@ -75,14 +100,21 @@ class Curve:
         return (y - y.mean(axis=1, keepdims=True)) @ x / (x @ x)
 
     def figure(self, note: str = "") -> Figure:
-        """The exponent as a figure."""
+        """Return the exponent as a figure."""
         part = f"from {self.fitted_from:,g} {self.over} on" + (f"; {note}" if note else "")
         return Figure.of(f"{self.key}_exponent", f"{self.name}: p of cost ~ n^p", "", self.exponents(), part)
 
 
 @dataclass(frozen=True)
 class Target:
-    """A bound for the median of a figure: `kind` ">=" or "<="."""
+    """Bound for the median of a figure.
+
+    Attributes:
+        name: Name in the table.
+        figure: Key of the figure.
+        kind: ">=" or "<=".
+        bound: Value of the bound.
+    """
 
     name: str
     figure: str
@@ -93,6 +125,7 @@ class Target:
         return f"{self.kind} {format_number(self.bound)}"
 
     def is_met(self, value: float) -> bool:
+        """Return whether a value meets the target."""
         return value >= self.bound if self.kind == ">=" else value <= self.bound
 
     def verdict(self, value: float) -> str:
@@ -106,7 +139,7 @@ class Target:
 
 
 def format_number(value: float) -> str:
-    """Three digits, and a power of ten where that reads better."""
+    """Format a number with three digits, with a power of ten if that is easier to read."""
     if value and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.2e}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

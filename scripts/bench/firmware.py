@@ -1,4 +1,4 @@
-"""Firmware in C on a board: bus cycles a second, and what a host that polls costs beside one that waits."""
+"""Benchmark of firmware in C on a board: bus cycles a second, and the cost of a host that polls compared with one that waits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SECONDS = 0.2
 
 
 def make_shuttle_work(stage: Stage) -> Work:
-    """Turns the axes round, so that they never arrive."""
+    """Make a function that reverses the directions of the axes, so that they never reach an end."""
     minus = False
 
     def turn() -> None:
@@ -32,6 +32,7 @@ def make_shuttle_work(stage: Stage) -> Work:
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     works = {}
     try:
         for name, (loop, seconds) in LOOPS.items():

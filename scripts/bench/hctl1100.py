@@ -1,4 +1,4 @@
-"""HCTL-1100 beside PCL-240K: three axes of a stage in the closed loop, and the loop of the chip alone."""
+"""Benchmark of HCTL-1100 compared with PCL-240K: three axes of a stage in the closed loop, and a chip's control loop alone."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ SECONDS = 20.0
 
 
 def write_all(chip: HCTL1100, *writes: tuple[int, int]) -> None:
+    """Make bus writes, each given as (register, value)."""
     for address, value in writes:
         chip.write(address, value)
 
 
 def make_servo_stage() -> Stage:
-    """Three servos that keep a speed of 39 mm/s."""
+    """Make a stage of three servo axes that move at 39 mm/s."""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     for axis in stage.axes.values():
         stage.place(**{axis.name: 0.8 * axis.travel[0]})
@@ -34,6 +35,7 @@ def make_servo_stage() -> Stage:
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     stages = {"servo": make_servo_stage(), "pcl": make_moving_stage(visuals=False)}
     t = measure_alternately(
         {name: make_stepping_work(stage) for name, stage in stages.items()}, run.rounds, run.choose(25, 5)

@@ -1,7 +1,7 @@
-"""An hour of simulated time: cost against run length, and how much the process grows; without and with recordings of a minute.
+"""Benchmark of an hour of simulated time: cost as a function of run length, and growth of the process, with and without recordings.
 
-Axes run to and fro. After every piece bare mj_step is timed, and the piece's cost divided by it: a machine that is slower for a
-while does not bend the curve.
+Axes move back and forth. After each piece of the run, mj_step alone is timed, and the cost of the piece is divided by it, so a
+machine that is slower for a while does not bend the curve.
 """
 
 from __future__ import annotations
@@ -22,6 +22,14 @@ WARM = 0.1  # of the run, before growth counts
 
 
 class RunPiece(NamedTuple):
+    """Piece of a long run.
+
+    Attributes:
+        end: Simulated time at its end, s.
+        cost: Its time divided by that of mj_step alone.
+        resident: Resident memory of the process at its end, bytes.
+    """
+
     end: float
     """Simulated seconds since the beginning."""
     cost: float
@@ -30,6 +38,7 @@ class RunPiece(NamedTuple):
 
 
 def measure(run: Run) -> Iterator[Figure | Curve]:
+    """Yield the figures and the curve of this subject."""
     seconds = run.choose(3600, 20)
     length = f"{seconds / 3600:g} h" if seconds >= 3600 else f"{seconds} s"
     note = f"{length} simulated{' (quick)' if run.quick else ''}, one run"
@@ -49,7 +58,12 @@ def measure(run: Run) -> Iterator[Figure | Curve]:
 
 
 def measure_pieces(seconds: float, recorded: bool) -> list[RunPiece]:
-    """The long run itself."""
+    """Run a stage for a long time in pieces, and measure each.
+
+    Args:
+        seconds: Simulated time, s.
+        recorded: Whether each minute is recorded.
+    """
     stage = make_moving_stage(visuals=False)
     bare = BareModel(stage, 400)
     ends = [m for m in MARKS if m < seconds] + [m for m in range(120, int(seconds), 60)] + [seconds]

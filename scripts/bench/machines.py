@@ -22,14 +22,24 @@ LEG = 1.0  # s of a run to and fro
 
 
 def run_continuously(stage: Stage, minus: bool = False) -> None:
-    """Every axis ramps to its speed and keeps it."""
+    """Let every axis ramp up to its speed and keep it.
+
+    Args:
+        stage: Stage to move.
+        minus: Whether the axes move in the minus direction.
+    """
     for axis in stage.axes.values():
         for command in (RESET, CONTROL | (MINUS if minus else 0), RAMP["FH1"]):
             axis.chip.write(0, command)
 
 
 def make_moving_stage(model: Any = "xyz", **settings: Any) -> Stage:
-    """Chips that keep their motors running for as long as a comparison takes: some seconds."""
+    """Make a stage whose motors run for as long as a comparison takes, some seconds.
+
+    Args:
+        model: Model of the stage.
+        **settings: Other arguments of `Stage`.
+    """
     stage = Stage(model, chips=PCL240K, **settings)
     for axis in stage.axes.values():
         ChipPort(axis).write_registers(**RATE)
@@ -49,7 +59,15 @@ def run_shuttle(stage: Stage, seconds: float) -> None:
 
 
 def measure_mean_torque(stage: Stage, steps: int) -> np.ndarray:
-    """The torque that keeps bare carriages moving alike: each actuator's mean over the next `steps`, which pass."""
+    """Measure the torques that would move carriages without chips and motors in the same way.
+
+    Args:
+        stage: Stage in motion, which runs on for `steps` physics steps.
+        steps: Number of physics steps.
+
+    Returns:
+        Mean torque of each actuator.
+    """
     torque = np.zeros(stage.model.nu)
     with stage.record() as recording:
         stage.step(steps)
@@ -59,7 +77,12 @@ def measure_mean_torque(stage: Stage, steps: int) -> np.ndarray:
 
 
 class BareModel:
-    """mj_step alone on a stage's model, from the state that the stage is in, under constant torques that move it as far."""
+    """Model of a stage with mj_step alone: from the stage's present state, constant torques move it as far as the stage moves.
+
+    Args:
+        stage: Stage in motion.
+        steps: Physics steps over which the torques are measured.
+    """
 
     def __init__(self, stage: Stage, steps: int = 4000):
         self.model, self.data = stage.model, mujoco.MjData(stage.model)
@@ -72,7 +95,7 @@ class BareModel:
         self._match(stage, steps)
 
     def _match(self, stage: Stage, steps: int) -> None:
-        """Correct the torques by the damping: friction hardly grows with speed, so the mean torque alone leaves the speed open."""
+        """Correct the torques by the damping: friction hardly depends on speed, so the mean torque leaves the speed open."""
         axes = [(p.joint, stage.model.actuator(name).id, p.gear) for name, p in stage.axes.items()]
         seconds = steps * self.model.opt.timestep
         for _ in range(MATCHING):
@@ -93,7 +116,12 @@ class BareModel:
 
 
 class MujocoBatch:
-    """The bare model, `n` times, in the middle of a move of three axes; `nstep` physics steps each at every step."""
+    """Batch of n copies of the bare model, in the middle of a move of three axes.
+
+    Args:
+        n: Number of copies.
+        threads: Number of threads; None: one for each processor.
+    """
 
     def __init__(self, n: int, threads: int | None):
         moving = make_moving_stage(visuals=False)
@@ -115,12 +143,12 @@ class MujocoBatch:
 
 
 def find_model_path(name: str = "xyz") -> str:
-    """The file of a shipped model."""
+    """Return the path of a shipped model."""
     return str(resources.files("stage.models") / f"{name}.xml")
 
 
 def make_axes_model(n: int) -> mujoco.MjSpec:
-    """A model of `n` axes side by side, each the X axis of the shipped `xy`: rail, motor, carriage, five switches, hard stops."""
+    """Make a model of `n` axes side by side, each like X of the shipped `xy`: rail, motor, carriage, switches, hard stops."""
     row = mujoco.MjSpec()
     for k in range(n):
         one = mujoco.MjSpec.from_file(find_model_path("xy"))

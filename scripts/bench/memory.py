@@ -1,4 +1,4 @@
-"""Memory that a stage takes, each kind measured in a fresh process."""
+"""Benchmark of the memory that a stage takes, each kind measured in a fresh process."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ KINDS = {
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     if not can_read_resident_memory():
         print("    left out: memory is read from /proc, which is not here")
         return
@@ -36,7 +37,15 @@ def measure(run: Run) -> Iterator[Figure]:
 
 
 def measure_growth(kind: str, n: int) -> float:
-    """KiB that each of n more takes, after it has moved, beyond the first of its kind."""
+    """Measure the memory of each of n further objects after it has moved.
+
+    Args:
+        kind: Key of KINDS.
+        n: Number of objects after the first.
+
+    Returns:
+        KiB for one object.
+    """
     created = [make_objects(kind, 2)]
     before = read_resident_memory()
     created.append(make_objects(kind, n))
@@ -44,6 +53,7 @@ def measure_growth(kind: str, n: int) -> float:
 
 
 def make_objects(kind: str, n: int) -> Any:
+    """Make n objects of a kind of KINDS, and let them move."""
     if "stage" in kind:
         first = make_moving_stage(visuals=kind == "stage")
         stages = [first, *(copy.deepcopy(first) for _ in range(n - 1))]

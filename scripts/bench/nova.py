@@ -1,4 +1,4 @@
-"""An MCX514 beside PCL-240K at the same pulse rates: alone, and three axes of a stage in the closed loop."""
+"""Benchmark of an MCX514 compared with PCL-240K at the same pulse rates: alone, and three axes of a stage in the closed loop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,14 @@ CONSTANT = 0.08  # s
 
 
 def load_registers(chip: Any, axes: int, order: str, **registers: int) -> Any:
-    """Parameters of an MCX514 by name, then a command, of all these axes."""
+    """Write parameters of an MCX514 by name, then a command, for several axes; return the chip.
+
+    Args:
+        chip: Chip to write.
+        axes: Bit mask of the axes.
+        order: Symbol of the command.
+        **registers: Values by name.
+    """
     for name, value in registers.items():
         chip.write(6, value & 0xFFFF)
         chip.write(7, value >> 16 & 0xFFFF)
@@ -57,6 +64,7 @@ def make_nova_stage() -> Stage:
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     stages = {"nova": make_nova_stage(), "pcl": make_moving_stage(visuals=False)}
     t = measure_alternately(
         {name: make_stepping_work(stage) for name, stage in stages.items()}, run.rounds, run.choose(25, 5)
@@ -83,13 +91,30 @@ def measure(run: Run) -> Iterator[Figure]:
 
 
 def make_stepping_work(stage: Stage) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A race's entry: a stage from where it is now."""
+    """Make a work that steps a stage from its present state.
+
+    Args:
+        stage: Stage in motion.
+
+    Returns:
+        Preparation and work.
+    """
     start = stage.snapshot()
     return lambda: stage.restore(start), lambda: stage.step(STEPS)
 
 
 def make_running_work(make: Any, begin: Callable[[Any], Any], clocks: int, traced: bool) -> tuple[Any, Any]:
-    """A race's entry: a chip, begun anew, that advances or is traced."""
+    """Make a work in which a chip is started again before each call and then advances or is traced.
+
+    Args:
+        make: Class of the chip.
+        begin: Function that starts it.
+        clocks: Clocks of a call.
+        traced: Whether pulses are stored.
+
+    Returns:
+        Preparation and work.
+    """
     chip = make()
     fresh = chip.snapshot()
 

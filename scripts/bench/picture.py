@@ -20,7 +20,14 @@ BOUND: dict[str, Any] = {"color": OTHER, "lw": 1.6, "ls": (0, (4, 2))}
 
 
 def draw_bars(ax: Any, results: Results, rows: dict[str, str], unit: str) -> None:
-    """Medians as bars, spreads as lines, targets dashed. rows: key -> label."""
+    """Draw medians as bars, spreads as lines, and targets as dashed lines.
+
+    Args:
+        ax: Axes of Matplotlib.
+        results: Results to draw.
+        rows: Label of each figure, by key.
+        unit: Unit of the figures.
+    """
     rows = {key: label for key, label in rows.items() if key in results.figures}
     for y, key in enumerate(rows):
         f = results.figures[key]
@@ -79,7 +86,7 @@ def draw_chips(ax: Any, results: Results) -> None:
 
 
 def place_legend_below(ax: Any) -> None:
-    """The legend below the panel, where no data are."""
+    """Place the legend below the panel, where it hides no data."""
     ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), fontsize=9, handletextpad=0.4)
 
 
@@ -95,7 +102,13 @@ def make_curve_panel(*keys: str) -> Callable[[Any, Results], None]:
 
 
 def draw_curve(ax: Any, c: Curve, color: str) -> None:
-    """Medians with spread, and the fit where it holds."""
+    """Draw the medians of a curve with their spread, and the fit over the sizes that it uses.
+
+    Args:
+        ax: Axes of Matplotlib.
+        c: Curve to draw.
+        color: Color of the curve.
+    """
     sizes, cost = np.array(c.sizes), np.array(c.cost)
     p, middle = float(np.median(c.exponents())), np.median(cost, axis=0)
     ax.plot(sizes, middle, "o", color=color, ms=4.5, label=f"{c.name.strip()}: n^{p:.3f}")
@@ -129,7 +142,15 @@ n^p: cost grows with size to the power p,
 
 
 def draw(results: Results, path: Path) -> None:
-    """Raises SystemExit when nothing that it shows was measured."""
+    """Draw all panels that have results into one file.
+
+    Args:
+        results: Results to draw.
+        path: File of the picture.
+
+    Raises:
+        SystemExit: Nothing that the picture shows was measured.
+    """
     panels = [(title, panel) for whose, title, panel in PANELS if set(whose.split()) & set(results.titles)]
     if not panels:
         raise SystemExit(f"{path}: not drawn, none of its figures was measured.")

@@ -1,4 +1,4 @@
-"""What recording every millisecond costs, and how large its files are."""
+"""Benchmark of recording a sample every millisecond: its cost, and the size of its files."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ TITLE = "Recording, a sample a millisecond (xyz, three axes to and fro)"
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     seconds = run.choose(10, 5)  # simulated; a full buffer of 4096 samples goes to the temporary file
     stage = make_moving_stage()
     start = stage.snapshot()

@@ -1,4 +1,4 @@
-"""A benchmark's results as lines, as JSON, and as the table of docs/performance.md."""
+"""Output of a benchmark's results: lines, JSON, and the table of docs/performance.md."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEGIN, END = "<!-- benchmark: begin -->", "<!-- benchmark: end -->"
 
 
 class Results:
-    """Figures and curves by key, titles by subject, in the order in which they were measured."""
+    """Figures and curves by key, and titles by subject, in the order in which they were measured."""
 
     def __init__(self) -> None:
         self.titles: dict[str, str] = {}
@@ -27,7 +27,7 @@ class Results:
         self.machines: dict[str, str] = {}
 
     def remove_subject(self, subject: str) -> None:
-        """Drop what is known of a subject, which is to be measured anew."""
+        """Remove the results of a subject, before it is measured again."""
         for table in (self.titles, self.machines):
             table.pop(subject, None)
         for table in (self.figures, self.curves):
@@ -35,9 +35,11 @@ class Results:
                 del table[key]
 
     def add(self, figure: Figure | Curve) -> None:
+        """Add a figure or a curve under its key."""
         (self.figures if isinstance(figure, Figure) else self.curves)[figure.key] = figure
 
     def of(self, subject: str) -> list[Figure]:
+        """Return the figures of a subject."""
         return [f for f in self.figures.values() if get_subject(f.key) == subject]
 
     def save(self, path: Path) -> None:
@@ -54,7 +56,7 @@ class Results:
 
     @classmethod
     def load(cls, path: Path) -> Results:
-        """The results that `save` wrote."""
+        """Read the results that `save` wrote."""
         results, content = cls(), json.loads(path.read_text())
         results.titles, results.machines = content["titles"], content["machines"]
         for key, f in content["figures"].items():
@@ -65,11 +67,12 @@ class Results:
 
 
 def get_subject(key: str) -> str:
+    """Return the subject of a key "subject.name"."""
     return key.split(".")[0]
 
 
 def describe_machine(run: Run) -> str:
-    """Say where and how a benchmark has run."""
+    """Describe the machine and the settings of a benchmark in one line."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "numpy"))
     how = f"{run.rounds} rounds" + (", quick: long ones are short" if run.quick else "")
     return (
@@ -78,6 +81,7 @@ def describe_machine(run: Run) -> str:
 
 
 def find_processor_name() -> str:
+    """Return the name of the processor."""
     try:
         with Path("/proc/cpuinfo").open() as file:
             return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
@@ -86,7 +90,7 @@ def find_processor_name() -> str:
 
 
 def format_line(f: Figure) -> str:
-    """A figure as a line of the table on the screen."""
+    """Format a figure as a line of the table on the screen."""
     spread = f"{format_number(f.minimum)} .. {format_number(f.maximum)}" if len(f.values) > 1 else "once"
     text = f"  {f.name:58.58}{format_number(f.median):>11} {f.unit:6} {spread:>22}"
     if target := BY_FIGURE.get(f.key):
@@ -95,7 +99,7 @@ def format_line(f: Figure) -> str:
 
 
 def list_verdicts(results: Results) -> Iterator[str]:
-    """Every target, a line each."""
+    """Yield a line for every target."""
     for target in TARGETS:
         f = results.figures.get(target.figure)
         verdict = "not measured" if f is None else f"{format_number(f.median):>8}  {target.verdict(f.median)}"
@@ -103,7 +107,15 @@ def list_verdicts(results: Results) -> Iterator[str]:
 
 
 def write_markdown(results: Results, path: Path) -> None:
-    """Put the table between the two marker comments of a page. Raises SystemExit when the page has none."""
+    """Write the table between the two marker comments of a page.
+
+    Args:
+        results: Results to write.
+        path: Page.
+
+    Raises:
+        SystemExit: The page has no markers.
+    """
     text = path.read_text() if path.exists() else ""
     if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
         raise SystemExit(f"{path}: has no pair of lines\n{BEGIN}\n{END}\nto put the table between.")
@@ -112,7 +124,7 @@ def write_markdown(results: Results, path: Path) -> None:
 
 
 def format_markdown(results: Results) -> str:
-    """The targets, and then every figure."""
+    """Format a table of the targets, and then one of every figure."""
     lines = ["| target | bound | measured, median (least .. most) | |", "|---|---|---|---|"]
     for target in TARGETS:
         f = results.figures.get(target.figure)
@@ -130,5 +142,6 @@ def format_markdown(results: Results) -> str:
 
 
 def format_spread(f: Figure) -> str:
+    """Format the median of a figure with its smallest and largest value."""
     many = f" ({format_number(f.minimum)} .. {format_number(f.maximum)})" if len(f.values) > 1 else ""
     return format_number(f.median) + many

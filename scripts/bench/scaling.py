@@ -1,4 +1,4 @@
-"""Cost against the number of axes and of stages, with the exponent of cost ~ n^p; run length is in long_run.py."""
+"""Benchmark of cost as a function of the number of axes and of stages, with the exponent of cost ~ n^p; run length: long_run.py."""
 
 from __future__ import annotations
 
@@ -23,11 +23,13 @@ STAGE_BYTES = 1.5e6  # a stage and what it leaves behind, generously
 
 
 def measure(run: Run) -> Iterator[Figure | Curve]:
+    """Yield the figures and curves of this subject."""
     yield from measure_axes(run)
     yield from measure_stages(run)
 
 
 def measure_axes(run: Run) -> Iterator[Figure | Curve]:
+    """Yield the cost of a stage as a function of its number of axes."""
     works = {}
     for n in AXES:
         stage = make_moving_stage(make_axes_model(n), visuals=False)
@@ -52,6 +54,7 @@ def measure_axes(run: Run) -> Iterator[Figure | Curve]:
 
 
 def measure_stages(run: Run) -> Iterator[Figure | Curve]:
+    """Yield the cost of a fleet as a function of its number of stages."""
     max_stages = min(run.choose(4096, 64), int(read_available_memory() / STAGE_BYTES))
     sizes = [n for n in STAGES if n <= max_stages]
     first = make_moving_stage(visuals=False)
@@ -81,7 +84,7 @@ def measure_stages(run: Run) -> Iterator[Figure | Curve]:
 
 
 def read_available_memory() -> float:
-    """Bytes of memory that are free for use; 4 GB where nobody says."""
+    """Return the available memory in bytes; 4 GB if the operating system does not tell."""
     try:
         with Path("/proc/meminfo").open() as file:
             return next(int(line.split()[1]) * 1024 for line in file if line.startswith("MemAvailable")) * 0.7

@@ -1,4 +1,4 @@
-"""Starting, each time a fresh process: import, a first step beside MuJoCo's own; and building the native library."""
+"""Benchmark of starting in a fresh process: import, a first step compared with MuJoCo's own, and building the native library."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     works = {
         "python": "pass",
         "import": "import stage",
@@ -44,13 +45,13 @@ def measure(run: Run) -> Iterator[Figure]:
 
 
 def run_python(code: str) -> None:
-    """Run this in a process, as an installed package is run: from bytecode, which the first process writes."""
+    """Run code in a new process from bytecode, as an installed package runs; the first such process writes the bytecode."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=environment)
 
 
 def measure_build() -> float:
-    """Seconds of processor time that the library of a fresh checkout takes."""
+    """Measure the processor time that building the library of a fresh checkout takes, s."""
     with tempfile.TemporaryDirectory() as folder:
         for name in ("stage", "envs", "models"):
             shutil.copytree(ROOT / name, Path(folder, name), ignore=shutil.ignore_patterns("__pycache__", "_native.so"))

@@ -1,4 +1,4 @@
-"""What the benchmark is held against: bounds for the medians, one list."""
+"""Targets of the benchmark: one list of bounds for the medians of figures."""
 
 from bench.figures import Target
 

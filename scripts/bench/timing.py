@@ -1,4 +1,4 @@
-"""Fair timing: works take turns, so that what else the machine does meets them all alike."""
+"""Fair timing: works run in turns, so that other load of the machine affects all of them alike."""
 
 from __future__ import annotations
 
@@ -18,17 +18,25 @@ Work = Callable[[], Any]
 
 
 def measure_time(work: Work, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Seconds that `work` takes."""
+    """Return the seconds that `work` takes."""
     begin = clock()
     work()
     return clock() - begin
 
 
 def measure_alternately(works: Mapping[str, tuple[Work, Work]], rounds: int, calls: int = 5) -> dict[str, np.ndarray]:
-    """Seconds of a turn of each work, a value a round: name -> (rounds,).
+    """Measure the time of several works that run in turns.
 
-    works: name -> (prepare, work), prepare is not timed. In a round every work has `turns` turns, interleaved; the round's
-    value is their median. Who comes first goes round. A first turn of each, which may have to compile, does not count.
+    In each round, every work runs `calls` times, interleaved with the others, and the first work changes from round to round. The
+    value of a round is the median. One earlier call of each work, which may compile, does not count.
+
+    Args:
+        works: (preparation, work) by name; the preparation is not timed.
+        rounds: Number of rounds.
+        calls: Number of calls of each work in a round.
+
+    Returns:
+        Seconds of a call of each work by name, (rounds,).
     """
     names = list(works)
     seconds = {name: np.zeros((rounds, calls)) for name in names}
@@ -45,21 +53,22 @@ def measure_alternately(works: Mapping[str, tuple[Work, Work]], rounds: int, cal
 
 
 def do_nothing() -> None:
-    """Do nothing, where a comparison needs no preparation."""
+    """Do nothing: preparation for works that need none."""
 
 
 def read_resident_memory() -> int:
-    """Bytes of this process in memory; Linux only."""
+    """Return the resident memory of this process in bytes; Linux only."""
     gc.collect()
     with Path("/proc/self/statm").open() as file:
         return int(file.read().split()[1]) * PAGE
 
 
 def can_read_resident_memory() -> bool:
+    """Return whether the operating system tells the resident memory of a process."""
     return Path("/proc/self/statm").exists()
 
 
 def run_in_fresh_process(function: Callable[..., Any], *args: Any) -> Any:
-    """`function(*args)` where nothing was imported, made or freed before."""
+    """Return `function(*args)`, computed in a new process in which nothing has been imported or allocated before."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(function, *args).result()

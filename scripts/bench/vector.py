@@ -1,4 +1,4 @@
-"""Many stages on threads beside mujoco.batch.Batch: a `Fleet` that plays a wait, and the vector form of RegisterBus."""
+"""Benchmark of many stages on threads, compared with mujoco.batch.Batch: a `Fleet` that plays waits, and the vector RegisterBus."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ WAIT = 2  # kind of action
 
 
 def measure(run: Run) -> Iterator[Figure]:
+    """Yield the figures of this subject."""
     plays = run.choose(5, 2)  # waits in a turn
     works: dict[str, tuple[Callable, Callable]] = {}
     for threads in (1, 2):
@@ -44,7 +45,15 @@ def measure(run: Run) -> Iterator[Figure]:
 
 
 def make_playing_work(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A race's entry: a fleet that plays waits."""
+    """Make a work of a fleet that plays waits.
+
+    Args:
+        threads: Number of threads.
+        plays: Number of plays in a call.
+
+    Returns:
+        Preparation and work.
+    """
     first = make_moving_stage(visuals=False)
     start = first.snapshot()
     fleet = Fleet([first, *(copy.deepcopy(first) for _ in range(STAGES - 1))], threads)
@@ -58,7 +67,15 @@ def make_playing_work(threads: int, plays: int) -> tuple[Callable[[], None], Cal
 
 
 def make_acting_work(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
-    """The same for the vector environment, its stages put in the middle of a move."""
+    """Make a work of the vector environment, whose stages are put in the middle of a move.
+
+    Args:
+        threads: Number of threads.
+        plays: Number of steps in a call.
+
+    Returns:
+        Preparation and work.
+    """
     kind: dict[str, Any] = {"vectorization_mode": "vector_entry_point", "threads": threads}
     envs = gymnasium.make_vec("stage/RegisterBus-v0", num_envs=STAGES, **kind, **SETTINGS)
     start = make_moving_stage().snapshot()
@@ -73,18 +90,27 @@ def make_acting_work(threads: int, plays: int) -> tuple[Callable[[], None], Call
 
 
 def make_batch_work(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
-    """The same for bare models."""
+    """Make a work of a batch of bare models.
+
+    Args:
+        threads: Number of threads.
+        plays: Number of steps in a call.
+
+    Returns:
+        Preparation and work.
+    """
     bare = MujocoBatch(STAGES, threads)
     bare.nstep = STEPS
     return bare.reset, lambda: repeat(plays, bare.step)
 
 
 def repeat(n: int, work: Callable[[], Any]) -> None:
+    """Call `work` n times."""
     for _ in range(n):
         work()
 
 
 def make_wait_programs(stages: int, steps: int) -> np.ndarray:
-    """A program a stage: wait for so many physics steps."""
+    """Make a program for each stage that waits for a number of physics steps, (stages, 1, 4)."""
     ops = Program().wait(steps * DT).ops
     return np.tile(np.array(ops), (stages, 1, 1))

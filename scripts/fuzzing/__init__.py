@@ -1,1 +1,1 @@
-"""What scripts/fuzz.py is made of: targets (bus.py, mjcf.py), chip families (family.py, pcl240.py, nova.py), and how a run goes."""
+"""Parts of scripts/fuzz.py: targets (bus.py, mjcf.py), families of chips (family.py, pcl240.py, nova.py), and mutations."""

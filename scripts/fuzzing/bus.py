@@ -1,9 +1,10 @@
-"""The bus target: bytes as a host's doings on any chip.
+"""The bus target: an input is a sequence of operations on any chip, as a host and the outside world may make them.
 
-The first byte is the chip, by its place in ORDER; then come operations, `kind` in three bits of a byte, `low` in the lower five:
+The first byte is the index of the chip in ORDER. Operations follow, with `kind` in three bits of a byte and `low` in the lower
+five:
 
-    0 to 3    bus writes, as the family says           5    a bus read, or with low = 31 the /RESET pin
-    4         an input pin turns, as the family says    6    2^low clocks    7    (256 + the next byte) 2^low / 256 clocks
+    0 to 3    bus writes, defined by the family           5    a bus read, or with low = 31 the /RESET pin
+    4         a change of a pin, defined by the family    6    2^low clocks    7    (256 + the next byte) 2^low / 256 clocks
 """
 
 from __future__ import annotations
@@ -39,15 +40,20 @@ TRACED = 1 << 16  # clocks: the twin's longer advances are not traced pulse by p
 
 
 def make_family(chip: type[Chip]) -> Family:
-    """The nearest family, or what all chips share."""
+    """Make the family of a chip, or the general one if the chip has none."""
     return next((family for cls, family in FAMILIES.items() if issubclass(chip, cls)), Family)(chip)
 
 
 class Bus:
-    """Checks one input a call."""
+    """Target that checks one input at each call.
+
+    Args:
+        counts: Counters to update.
+        budget: Largest number of events of an input, after which it ends; None: any number.
+        only: Name of the only chip whose inputs are checked; None: all.
+    """
 
     def __init__(self, counts: Counts | None = None, budget: int | None = None, only: str | None = None) -> None:
-        """`budget`: events that the work of one input may have; it ends there. `only`: the chip whose inputs are checked."""
         self.families = [make_family(CHIPS[name]) for name in ORDER]
         self.only = chip_class(only) if only else None
         self.counts = Counts() if counts is None else counts
@@ -78,7 +84,7 @@ class Bus:
 
 
 class Run:
-    """One input. Compiled, the chip has a journal, and a twin whose clocks run in pieces; uncompiled, its work is counted."""
+    """Execution of one input, by a compiled chip with a journal and a twin, or by an uncompiled chip whose work is counted."""
 
     def __init__(self, family: Family, data: bytes, counts: Counts):
         self.family, self.data, self.at, self.counts = family, data, 0, counts
@@ -88,7 +94,7 @@ class Run:
         self.pulses, self.journal = 0, self.chip.journal() if COMPILED else None
 
     def take(self, n: int) -> int:
-        """The number in the next `n` bytes; there are zeros after the end."""
+        """Return the number in the next `n` bytes; after the end of the input, bytes are zero."""
         chunk = self.data[self.at : self.at + n]
         self.at += n
         return int.from_bytes(chunk.ljust(n, b"\0"), "big")
@@ -117,7 +123,7 @@ class Run:
                 self.family.write(chip, address, value)
 
     def read(self, low: int) -> None:
-        """Addresses of more than 30 are in a byte of their own."""
+        """Make a bus read and check its value. Addresses above 30 are in a byte of their own."""
         address = low if self.chip.ADDRESS_MASK < 31 else self.take(1)
         self.counts["bus cycles"] += 1
         words = [self.family.read(chip, address) for chip in self.chips]
@@ -169,7 +175,7 @@ class Run:
         self.check()
 
     def advance_replica(self, clocks: int, pulses: int) -> None:
-        """The same clocks traced, where they are not too many, and once more in pieces: a cut is where the last pulse begins."""
+        """Trace the same clocks on the twin, unless they are too many, and run them again in two pieces, cut at the last pulse."""
         chip, replica = self.chips
         cuts = [clocks // 3]
         if clocks <= TRACED:

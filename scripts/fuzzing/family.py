@@ -1,7 +1,7 @@
-"""What the bus target knows of a family of chips. `Family` serves any chip: raw bus cycles, edges, clocks, and what holds of all.
+"""Knowledge of the bus target about a family of chips. `Family` serves any chip: raw bus cycles, edges, clocks, and common checks.
 
-A family of its own says more by overriding: how bytes become whole registers, which chips must stay silent, what an advance may
-change, and where the work of its core is counted. It gets a line in FAMILIES of bus.py.
+A subclass defines more for its family: how bytes become whole registers, which chips must be silent, what an advance may change,
+and where the work of its core is counted. FAMILIES of bus.py lists the subclasses.
 """
 
 from __future__ import annotations
@@ -21,25 +21,33 @@ Values = dict[str, int]
 
 
 class Enough(Exception):
-    """An input has done all the work that it may."""
+    """Exception that ends an input that has done all the work that it may do."""
 
 
 class Work:
-    """Counts what an uncompiled core does: `calls` of the functions between two events, and the speed `steps` they took."""
+    """Counter of an uncompiled core's work: `calls` of the functions between two events, and the speed `steps` in them."""
 
     def __init__(self) -> None:
         self.calls = self.steps = self.done = 0
         self.budget: int | None = None
 
     def spend(self, n: int = 1) -> None:
-        """`n` events more of this input."""
+        """Count `n` more events of this input, and raise Enough beyond its budget."""
         self.done += n
         if self.budget is not None and self.done > self.budget:
             raise Enough
 
 
 class Family:
-    """One class of chips on the fuzzer's bench."""
+    """Chips of one class on the fuzzer's bench.
+
+    Args:
+        chip: Class of the chips.
+
+    Attributes:
+        work: Counter of an uncompiled core, or None.
+        FREE: Fields of the state that may differ between two equal runs.
+    """
 
     work: Work | None = None
     FREE: tuple[str, ...] = ()  # words of the state that an advance in pieces may leave otherwise
@@ -56,7 +64,7 @@ class Family:
         self.floats = [name for name in dtype.names if dtype[name].base.kind == "f"]
 
     def warm_up(self) -> None:
-        """Compile what will be timed."""
+        """Compile the functions whose time will be measured."""
         chip = self.chip()
         chip.write(0, 0)
         chip.read(0)
@@ -64,7 +72,7 @@ class Family:
         chip.trace(1)
 
     def make(self, uncompiled: bool) -> Chip:
-        """A chip as powered up; uncompiled with its state in a Row."""
+        """Make a chip at power-up; an uncompiled one has its state in a Row."""
         chip = self.chip()
         if uncompiled:
             row: Any = Row(chip._rows[0])
@@ -72,23 +80,28 @@ class Family:
         return chip
 
     def state(self, chip: Chip) -> list:
-        """All words of the state but those that are FREE, whatever holds them."""
+        """Return all values of a chip's state except those in FREE, for a compiled or an uncompiled chip."""
         row, names = chip.state, self.chip.CORE.STATE.names
         return [to_lists(row[name]) for name in names if name not in self.FREE]
 
     def bits(self, chip: Chip) -> bytes:
-        """The same of a compiled chip, fast."""
+        """Return the bytes of a compiled chip's state without the fields in FREE."""
         row = bytearray(chip.state.tobytes())
         for place in self.free:
             row[place] = bytes(place.stop - place.start)
         return bytes(row)
 
     def pins(self, chip: Chip) -> list[tuple[Pins, str]]:
-        """Every input pin, of all axes."""
+        """List the input pins of all axes."""
         return [(axis.pins, name) for axis in chip.axes for name in chip.INPUTS]
 
     def toggle_pin(self, chip: Chip, low: int) -> None:
-        """Do what the outside does to a chip, `low` 0 to 31; here one of its input pins turns to the other level."""
+        """Change an input of the chip from outside; here one of its input pins changes its level.
+
+        Args:
+            chip: Chip to change.
+            low: Choice of the pin, 0 to 31.
+        """
         pins = self.pins(chip)
         on, name = pins[low % len(pins)]
         setattr(on, name, not getattr(on, name))
@@ -104,7 +117,7 @@ class Family:
         return [(kind << 5 | low, take(1 if self.chip.DATA_MASK <= 0xFF else 2))]
 
     def write(self, chip: Chip, address: int, value: int) -> None:
-        """One bus write cycle."""
+        """Make one bus write cycle."""
         chip.write(address, value)
 
     def read(self, chip: Chip, address: int) -> int:
@@ -112,7 +125,7 @@ class Family:
         return chip.read(address)
 
     def predict_read(self, chip: Chip, values: Values, address: int) -> int | None:
-        """Return the value that a bus read must give now, or None where `values`, the debugger's view, leaves it open."""
+        """Return the value that a bus read must return now, or None if `values`, the debugger's view, does not determine it."""
         return None
 
     def is_silent(self, chip: Chip) -> bool:

@@ -20,7 +20,7 @@ RATES = (0.0, 1e-4, -1e-4, 0.003, -0.003, 0.1, -0.1, 0.5)  # counts a clock; the
 
 @cache
 def counted_core() -> Work:
-    """The loop's samples, wrapped once to be counted."""
+    """Return a counter of the control loop's samples, for which the core is wrapped at the first call."""
     work = Work()
     sample = core._run_sample
 
@@ -34,7 +34,7 @@ def counted_core() -> Work:
 
 
 class HctlFamily(Family):
-    """The HCTL-1100: whole profiles, a shaft that turns, and the samples of its loop."""
+    """The HCTL-1100 on the fuzzer's bench: whole profiles, a shaft that turns, and the samples of its control loop."""
 
     FEW_CLOCKS = 1 << 18
 
@@ -44,7 +44,7 @@ class HctlFamily(Family):
         self.max_samples = 0
 
     def toggle_pin(self, chip: Any, low: int) -> None:
-        """An input pin, or from 8 on the shaft: eight speeds from where it is, or eight jumps."""
+        """Change an input pin, or from 8 on the shaft: eight speeds from its present position, or eight jumps."""
         if low < 8:
             super().toggle_pin(chip, low)
         elif low < 24:
@@ -53,7 +53,7 @@ class HctlFamily(Family):
             chip.set_shaft((low - 28) * (1 << 21) + 0.5)
 
     def make_writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
-        """A raw write to the lower or the upper half of the addresses, a position of three bytes, or a mode with all its data."""
+        """Return a raw write to either half of the addresses, a position of three bytes, or a mode with all its data."""
         if kind < 2:
             return [(kind << 5 | low, take(1))]
         if kind == 2:
@@ -97,5 +97,5 @@ class HctlFamily(Family):
         return super().read_end_values(chip) | {"command": chip.command_position, "motor": chip.motor_command}
 
     def compute_max_work(self, chip: Any, pulses: int) -> int:
-        """Samples of the loop, each once; in Init/Idle none."""
+        """Return the number of samples of the control loop, each counted once; 0 in Init/Idle."""
         return self.max_samples

@@ -1,6 +1,6 @@
-"""The MJCF target: a small model with elements dropped, renamed, doubled, moved, and odd numbers in it.
+"""The MJCF target: a small model whose elements are dropped, renamed, doubled or moved, and that has unusual numbers.
 
-It is refused with a clear error, or it runs, its motors turning, and stays finite.
+Such a model must be refused with a clear error, or run with turning motors and stay finite.
 """
 
 from __future__ import annotations
@@ -24,10 +24,14 @@ RUN = ((0, 0x82), (1, 0x40), (0, 0x87), (1, 0x05), (0, 0x08), (0, 0x40), (0, 0x1
 
 
 class MjcfTarget:
-    """Bytes as changes of the complete model in docs/models.md, four bytes each: what, where, which attribute, to what."""
+    """Target whose inputs change the complete model in docs/models.md, by four bytes: what, where, which attribute, to what.
+
+    Args:
+        counts: Counters to update.
+        budget: Not used: all models run equally long.
+    """
 
     def __init__(self, counts: Counts | None = None, budget: int | None = None) -> None:
-        """`budget` has no meaning here: each model runs as long."""
         page = PAGE.read_text(encoding="utf-8")
         self.model = re.search(r"```xml\n(<mujoco.*?)```", page, re.DOTALL).group(1)  # type: ignore[union-attr]
         self.counts = Counts() if counts is None else counts
@@ -35,7 +39,7 @@ class MjcfTarget:
         os.chdir(self.folder.name)  # MuJoCo writes its log where it stands
 
     def changed(self, data: bytes) -> str:
-        """The model after the changes that `data` says."""
+        """Return the model after the changes that the bytes describe."""
         root = ET.fromstring(self.model)
         for k in range(0, min(len(data), 32) - 3, 4):
             what, where, which, value = data[k : k + 4]

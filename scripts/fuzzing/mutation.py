@@ -1,4 +1,4 @@
-"""Random mutations of known inputs, for compiled code, whose coverage cannot be seen."""
+"""Random mutations of known inputs, for compiled code, whose coverage cannot be measured."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ HANG = 60.0  # seconds of one input
 
 
 def mutate(rng: random.Random, data: bytes, other: bytes) -> bytes:
-    """`data` after one change; `other` is an input to take a part of."""
+    """Return `data` after one random change.
+
+    Args:
+        rng: Random generator.
+        data: Input to change.
+        other: Input from which a part may be taken.
+    """
     at, end = sorted(rng.randrange(len(data) + 1) for _ in range(2))
     kind = rng.randrange(6)
     if kind == 0:
@@ -33,7 +39,11 @@ def mutate(rng: random.Random, data: bytes, other: bytes) -> bytes:
 
 
 class Watchdog(threading.Thread):
-    """Ends the process when an input hangs, and leaves the input behind: compiled loops let other threads run."""
+    """Thread that ends the process when an input hangs, and stores that input. It can run because compiled loops release the GIL.
+
+    Args:
+        result: Folder of the findings.
+    """
 
     def __init__(self, result: Path):
         super().__init__(daemon=True)
@@ -51,7 +61,13 @@ class Watchdog(threading.Thread):
 
 
 def store_finding(result: Path, kind: str, data: bytes) -> None:
-    """Leave a finding's input where the next run begins with it."""
+    """Write the input of a finding to the folder from which the next run begins.
+
+    Args:
+        result: Folder of the findings.
+        kind: "crash", "timeout" or "oom".
+        data: Input.
+    """
     path = result / f"{kind}-{hashlib.sha1(data).hexdigest()}"
     path.write_bytes(data)
     print(f"{kind}: {path}", flush=True)
@@ -60,9 +76,18 @@ def store_finding(result: Path, kind: str, data: bytes) -> None:
 def mutate_for(
     check: Callable[[bytes], None], pool: list[bytes], seconds: float, seed: int, result: Path, maximum: int
 ) -> int:
-    """Check all of `pool`, then for `seconds` inputs of it after one to six changes, at most `most` bytes long.
+    """Check all inputs of a pool, and then for some time inputs of it after one to six random changes.
 
-    Returns 1 at a finding, which is left in the folder `found`, else 0.
+    Args:
+        check: Function that checks an input and raises an error for a finding.
+        pool: Known inputs.
+        seconds: Time for changed inputs, s.
+        seed: Seed of the changes.
+        result: Folder of the findings.
+        maximum: Largest length of an input, bytes.
+
+    Returns:
+        1 if there is a finding, which is stored, else 0.
     """
     print(f"{len(pool)} inputs, then mutations by seed {seed}", flush=True)
     rng, watchdog, end = random.Random(seed), Watchdog(result), math.inf

@@ -47,7 +47,7 @@ INTERPOLATION_AXES = (0x03, 0x07, 0x0F, 0x05, 0x43, 0x87, 0x103, 0x203)  # IPM
 
 @cache
 def counted_core() -> Work:
-    """Wrap the core's functions once, to count `calls` of _process_due_events and `steps` that may cause one."""
+    """Return a counter of events and of steps that may cause one, for which the core's functions are wrapped at the first call."""
     work = Work()
     lint.LintState.copy_record = lambda self: make_record(self._record, state.STATE)  # type: ignore[method-assign]
 
@@ -74,7 +74,7 @@ def counted_core() -> Work:
 
 
 class NovaFamily(Family):
-    """NOVA chips: registers by commands, two data buses, and what the work of their cores may be."""
+    """NOVA chips on the fuzzer's bench: registers by commands, two data buses, and limits for the work of their cores."""
 
     FEW = 2000
     PULSED = state.PLS | state.DIR
@@ -97,7 +97,7 @@ class NovaFamily(Family):
         return [(6, value & 0xFFFF), (7, value >> 16 & 0xFFFF), (0, (axes & self.all) << 8 | code)]
 
     def make_writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
-        """A raw word, of the 8-bit bus a byte, or a mode; a register with a number of any size; a command; a whole start."""
+        """Return a raw word (8-bit bus: a byte), a mode, a register with a number of any size, a command, or a whole start."""
         if kind == 0 and low & 24 == 8:
             what, value = take(1), take(2)
             return self._data((MODES if self.new else HOME_MODES) + (what >> 4), value, what)
@@ -113,7 +113,7 @@ class NovaFamily(Family):
         return self._start(low, take)
 
     def _start(self, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
-        """Modes, speeds, pulses, start, as a driver writes them."""
+        """Return the writes of modes, speeds, distances and a start command, as a driver makes them."""
         axes, modes, speeds, rate = low & self.all, take(1), take(1), take(1)
         order, pulses, centre = take(1), take(2), take(2)
         pulses, centre = pulses - (pulses >> 15 << 16), centre - (centre >> 15 << 16)
@@ -173,7 +173,7 @@ class NovaFamily(Family):
         return values[f"RR3-{c['status_pages'] >> lowest & 1}" if n == 3 and self.new else f"RR{n}"]
 
     def is_silent(self, chip: Chip) -> bool:
-        """Nothing drives, and nothing can begin a drive by itself; or the emergency stop is there."""
+        """Return whether nothing drives and nothing can begin a drive by itself, or the emergency stop is active."""
         c = chip.state
         axes = [c["ax"][j] for j in range(chip.AXES)]
         return bool(c["emg_pin"]) or not (
@@ -181,7 +181,7 @@ class NovaFamily(Family):
         )
 
     def limit_clocks(self, chip: Chip, clocks: int) -> int:
-        """Ticks of an interpolation, timings and turns of a ring are work, one by one."""
+        """Return fewer clocks if an interpolation, a timer or a ring counter is active, because each of their steps is work."""
         c = chip.state
         busy = "timer_end enabled_sets split_running home_state"
         rings = self.new and any(c["ax"][j]["reg"][state.LX] != OFF for j in range(chip.AXES))
@@ -189,14 +189,14 @@ class NovaFamily(Family):
         return min(clocks, LONG) if works else clocks
 
     def read_end_values(self, chip: Chip) -> dict[str, int]:
-        """Return the chip's own values. PLS and DIR carry pulses, which a course has as entries of their own."""
+        """Return the chip's own values, except PLS and DIR: they carry pulses, which have entries of their own in a waveform."""
         return super().read_end_values(chip) | {"counter": int(chip.state["ax"][0]["reg"][state.LP])}
 
     def compute_max_work(self, chip: Chip, pulses: int) -> int:
-        """Return the most rounds of events.
+        """Return the largest number of event rounds.
 
-        An event that is noted may cause one, a segment of a speed profile, a tick of an interpolation, a turn of a ring counter
-        with the comparisons on it, an input's filter; never clocks, nor pulses as such.
+        A round may be caused by an event in the journal, a segment of a speed profile, a step of an interpolation, a turn of a ring
+        counter with its comparisons, or an input's filter, but never by clocks or pulses alone.
         """
         rings = [int(chip.state["ax"][j]["reg"][state.LX]) for j in range(chip.AXES)] if self.new else [OFF]
         revolutions = sum(pulses // (maximum + 1) for maximum in rings if maximum >= 0)
@@ -204,5 +204,5 @@ class NovaFamily(Family):
 
 
 def values_of(axes: list, names: str) -> bool:
-    """Any of these fields of any of the axes is not 0."""
+    """Return whether any of some fields, given by name, of any axis is not 0."""
     return any(x[name] for x in axes for name in names.split())

@@ -17,7 +17,7 @@ WRAP = 1 << 24  # pulses in which R0 comes round, and passes 0 and R6 again
 
 @cache
 def counted_core() -> Work:
-    """The core's functions between two events, wrapped once to be counted."""
+    """Return a counter of the calls between two events, for which the core's functions are wrapped at the first call."""
     work = Work()
     run_to_event, run_at_constant_speed = motion.run_to_event, motion._run_at_constant_speed
     run_ramp_steps, finish_step = motion._run_ramp_steps, motion.finish_step
@@ -49,7 +49,7 @@ def counted_core() -> Work:
 
 
 class Pcl240(Family):
-    """Chips of the PCL-240 family: bytes at four addresses, and the steps that their cores may take."""
+    """Chips of the PCL-240 family on the fuzzer's bench: bytes at four addresses, and limits for the work of their cores."""
 
     FREE: ClassVar = ("quiet_until",)
 
@@ -58,14 +58,14 @@ class Pcl240(Family):
         self.work = None if COMPILED else counted_core()
 
     def make_writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
-        """A raw write, or a whole register."""
+        """Return a raw write, or the writes of a whole register."""
         if kind < 3:
             return [(low, take(1))]
         value = take(3)
         return [(0, 0x80 | low), (3, value >> 16), (2, value >> 8 & 0xFF), (1, value & 0xFF)]
 
     def predict_read(self, chip: Chip, values: Values, address: int) -> int | None:
-        """A byte of the status or of a register; what a collective read has latched is not in view."""
+        """Return a byte of the status or of a register; None for latches of a collective read, which `values` does not have."""
         c, byte = chip.state, address & 3
         if not byte:
             return values["status"]
@@ -73,7 +73,7 @@ class Pcl240(Family):
         return None if c["collective"] else values[name] >> 8 * (byte - 1) & 0xFF
 
     def is_silent(self, chip: Chip) -> bool:
-        """A chip at rest, or at a limit of its direction."""
+        """Return whether the chip is at rest, or at an end limit of its direction."""
         return chip.pins.hold or (chip.pins.el_minus if chip.state["minus"] else chip.pins.el_plus)
 
     def read_end_values(self, chip: Chip) -> dict[str, int]:
@@ -81,9 +81,9 @@ class Pcl240(Family):
         return super().read_end_values(chip) | {"counter": int(chip.state["reg"][0])}
 
     def compute_max_work(self, chip: Chip, pulses: int) -> int:
-        """Return two calls an event, a climb and a span.
+        """Return two calls for each event.
 
-        Events are the steps of the speed that no climb took, three each time that R0 comes round (below R6, 0, wrapped), some
-        starts, stops and turns; never clocks, nor pulses as such.
+        Events are speed steps outside closed-form ramps, three for each wrap of R0 (below R6, 0, wrapped), and some for starts,
+        stops and direction changes, but never clocks or pulses alone.
         """
         return 2 * (self.work.steps + 3 * (pulses // WRAP) + 8)  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""What every target needs: a broken promise is a Finding; what was done is counted, in a file, so that no end loses it."""
+"""Common parts of all targets: a broken promise is a Finding, and counters are stored in a file, so that no crash loses them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,28 @@ from pathlib import Path
 
 
 class Finding(AssertionError):
-    """A promise that an input breaks."""
+    """Error of a promise that an input breaks."""
 
 
 def require(holds: bool, what: str) -> None:
+    """Raise Finding with a description unless a condition holds."""
     if not holds:
         raise Finding(what)
 
 
 class Counts(Counter):
-    """Numbers by name, in a file as well where one is given: libFuzzer ends the process without a word to Python."""
+    """Counters by name, which may also be stored in a file, because libFuzzer ends the process without telling Python.
+
+    Args:
+        path: File of the counters, or None.
+    """
 
     def __init__(self, path: Path | None = None):
         super().__init__()
         self.path, self._saved = path, 0.0
 
     def save(self, every: float = 0.0) -> None:
-        """Write the file, unless that was done less than `every` seconds ago."""
+        """Write the file, unless it was written less than `every` seconds ago."""
         now = time.monotonic()
         if self.path is None or now - self._saved < every:
             return
@@ -36,5 +41,5 @@ class Counts(Counter):
 
 
 def read_counts(path: Path) -> dict[str, int]:
-    """Return what a process has counted, {} if it never came to count."""
+    """Return the counters that a process has stored; {} if it has stored none."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}

@@ -1,4 +1,4 @@
-"""A chip's state in Python's own numbers: uncompiled, NumPy's records take nine tenths of the time."""
+"""State of a chip in Python's own numbers. Uncompiled code spends nine tenths of its time in NumPy's records otherwise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LEAST = -(1 << 63)  # number of a word
 
 
 class Table(list):
-    """An array of several dimensions as nested lists; t[i, j] is t[i][j]."""
+    """Array of several dimensions as nested lists, with t[i, j] for t[i][j]."""
 
     def __getitem__(self, k: Any) -> Any:
         if type(k) is not tuple:
@@ -31,14 +31,14 @@ class Table(list):
 
 
 class Row:
-    """A record, and those in it."""
+    """Record, with its nested records, as Python objects."""
 
     def __init__(self, record: Any):
         for name in record.dtype.names:
             setattr(self, name, _copy_as_python(record[name]))
 
     def fits(self) -> bool:
-        """Compiled, a word has 64 bits."""
+        """Return whether every integer fits into 64 bits, as compiled code needs it."""
         return all(map(_fits, vars(self).values()))
 
     def __getitem__(self, name: str) -> Any:
@@ -49,7 +49,7 @@ class Row:
 
 
 def make_record(row: Row, dtype: np.dtype) -> np.ndarray:
-    """An array of one, of the same content."""
+    """Make an array with one record that has the contents of a Row."""
     rows = np.zeros(1, dtype)
     _fill(rows[0], row)
     return rows
@@ -86,7 +86,7 @@ def _fits(value: Any) -> bool:
 
 
 def to_lists(value: Any) -> Any:
-    """The same numbers in nested lists, whatever holds them."""
+    """Convert numbers in any container to nested lists."""
     if isinstance(value, Row):
         return [to_lists(inner) for inner in vars(value).values()]
     if isinstance(value, list):
@@ -101,7 +101,7 @@ def to_lists(value: Any) -> Any:
 
 
 def has_only_finite_values(table: Any) -> bool:
-    """No number in a table is infinite or none at all."""
+    """Return whether no number of a table is infinite or NaN."""
     if isinstance(table, np.ndarray):
         return bool(np.isfinite(table).all())
     return all(map(math.isfinite, chain.from_iterable(table)))

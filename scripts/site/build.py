@@ -1,11 +1,11 @@
-"""Lays out the documentation site in build/site, for `zensical build`: `make docs`.
+"""Lay out the documentation site in build/site for `zensical build`: `make docs`.
 
     python scripts/site/build.py [FOLDER]   pages, reference and configuration
     cd build/site && zensical build --strict
 
-Pages of docs/ go over as they are, those of packages/NAME/ into NAME/; README.md is the start. What they link to elsewhere in the
-repository becomes a page that shows that file, so the site stands alone. The reference is made of what there is: `__all__` of the
-packages, the parser of the command line, the chips' register maps.
+Pages of docs/ are copied as they are, those of packages/NAME/ into NAME/; README.md is the start page. Files of the repository to
+which pages link become pages of the site, so the site is complete without the repository. The reference is generated from
+`__all__` of the packages, the parser of the command line, and the chips' register maps.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LANGUAGES = {
 
 
 def main() -> None:
-    """Everything anew."""
+    """Lay out the whole site again."""
     shutil.rmtree(OUT, ignore_errors=True)
     shutil.copytree(ROOT / "docs", PAGES)
     (PAGES / "index.md").write_text((ROOT / "README.md").read_text())
@@ -51,11 +51,11 @@ def main() -> None:
     gallery.write(ROOT, PAGES)
     linked: set[Path] = set()
     for page in sorted(PAGES.rglob("*.md")):
-        page.write_text(_with_links(page.read_text(), _source_of(page), page, linked))
+        page.write_text(_replace_links(page.read_text(), _source_of(page), page, linked))
     for file in sorted(linked):
-        _show(file)
+        _write_listing_page(file)
     _link_source()
-    _configure(reference_pages)
+    _write_configuration(reference_pages)
     print(f"{OUT}: {len(list(PAGES.rglob('*.md')))} pages")
 
 
@@ -89,8 +89,15 @@ def _page_of(file: Path) -> Path | None:
     return copies[0] if copies and file.is_file() else None
 
 
-def _with_links(text: str, source: Path, page: Path, linked: set[Path]) -> str:
-    """The text of a page whose links lead to pages of the site. source: where they lead in the repository."""
+def _replace_links(text: str, source: Path, page: Path, linked: set[Path]) -> str:
+    """Replace the links of a page by links to pages of the site, and return the text.
+
+    Args:
+        text: Text of the page.
+        source: File of the repository from which the links lead.
+        page: Page of the site.
+        linked: Set to which linked files without a page are added.
+    """
 
     def led(m: re.Match) -> str:
         if re.match(r"[a-z]+:", m[2]):
@@ -101,20 +108,20 @@ def _with_links(text: str, source: Path, page: Path, linked: set[Path]) -> str:
         to = _page_of(at)
         if to is None:
             linked.add(at)
-            to = _place(at)
+            to = _get_listing_page(at)
         return f"{m[1]}{Path(os.path.relpath(to, page.parent)).as_posix()}{m[3] or ''}{m[4]}"
 
     return LINK.sub(led, text)
 
 
-def _place(file: Path) -> Path:
-    """The page that shows a file or folder of the repository."""
+def _get_listing_page(file: Path) -> Path:
+    """Return the page of the site that shows a file or folder of the repository."""
     return PAGES / "files" / f"{file.relative_to(ROOT).as_posix()}.md"
 
 
-def _show(file: Path) -> None:
-    """A page with the content of a file, or the list of a folder."""
-    page = _place(file)
+def _write_listing_page(file: Path) -> None:
+    """Write a page with the contents of a file, or the list of a folder."""
+    page = _get_listing_page(file)
     page.parent.mkdir(parents=True, exist_ok=True)
     name = file.relative_to(ROOT).as_posix()
     if file.is_dir():
@@ -131,15 +138,15 @@ def _show(file: Path) -> None:
 
 
 def _link_source() -> None:
-    """The package as it is installed, for mkdocstrings: envs/ is stage.envs."""
+    """Link the package as it is installed, for mkdocstrings: envs/ is stage.envs."""
     package = OUT / "source" / "stage"
     package.mkdir(parents=True)
     for part in [*(ROOT / "stage").iterdir(), ROOT / "envs"]:
         (package / part.name).symlink_to(part)
 
 
-def _configure(reference_pages: dict[str, list[tuple[str, str]]]) -> None:
-    """zensical.toml, with the pages of the reference in its `nav`."""
+def _write_configuration(reference_pages: dict[str, list[tuple[str, str]]]) -> None:
+    """Write zensical.toml, with the pages of the reference in its `nav`."""
     text = (ROOT / "scripts" / "site" / "zensical.toml").read_text()
     for group, pages in reference_pages.items():
         listed = "".join(f'      {{ "{title}" = "{path}" }},\n' for title, path in pages)

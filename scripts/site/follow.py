@@ -35,8 +35,8 @@ for line in sys.stdin:
 """
 
 
-class Wrong(Exception):
-    """A page does not do what it says."""
+class PageError(Exception):
+    """Error of a page whose instructions do not work."""
 
 
 class TutorialReader:
@@ -50,12 +50,12 @@ class TutorialReader:
         what = shlex.split(wanted[1]) if wanted else ["pulsestage"]
         args = [re.sub(r"^pulsestage(\[.*\])?$", lambda m: f"pulsestage{m[1] or ''} @ file://{wheel}", w) for w in what]
         begin = time.perf_counter()
-        self.run([str(self.bin / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", *args])
+        self.run_command([str(self.bin / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", *args])
         self.installing, self.first, self.slowest = time.perf_counter() - begin, 0.0, 0.0
         self._session: Any = None
 
-    def run(self, command: list[str]) -> str:
-        """A command; what it prints. Raises Wrong unless it ends with the exit code of the page."""
+    def run_command(self, command: list[str]) -> str:
+        """Run a command, and return its output. Raises PageError for another exit code than that of the page."""
         clean = {
             k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "DISPLAY", "WAYLAND_DISPLAY", "VIRTUAL_ENV")
         }
@@ -64,11 +64,11 @@ class TutorialReader:
             command, cwd=self.folder, env=clean, capture_output=True, text=True, errors="replace", check=False
         )
         if done.returncode != get_exit_code(shlex.join(command)):
-            raise Wrong(f"{self.page.name}: {shlex.join(command)}\n{done.stdout}{done.stderr}")
+            raise PageError(f"{self.page.name}: {shlex.join(command)}\n{done.stdout}{done.stderr}")
         return done.stdout
 
-    def python(self, step: Step) -> str:
-        """A block, after those before it."""
+    def run_python(self, step: Step) -> str:
+        """Run a block of Python after the earlier blocks, and return its output."""
         import json
 
         if self._session is None:
@@ -80,11 +80,11 @@ class TutorialReader:
         self._session.stdin.flush()
         answer = self._session.stdout.readline()
         if not answer:
-            raise Wrong(f"{self.page.name}:{step.line}: this block fails")
+            raise PageError(f"{self.page.name}:{step.line}: this block fails")
         return json.loads(answer)
 
     def follow(self) -> None:
-        """The whole page. Raises Wrong."""
+        """Follow the whole page. Raises PageError."""
         output = ""
         for step in steps(self.page):
             begin = time.perf_counter()
@@ -92,19 +92,19 @@ class TutorialReader:
                 (self.folder / step.file).write_text(step.text)
             elif step.kind == "python":
                 (self.folder / "my.xml").unlink(missing_ok=True)
-                output = self.python(step)
+                output = self.run_python(step)
             elif step.kind == "typed":
                 lines = [line.split("  #")[0].strip() for line in step.text.splitlines()]
-                output = "".join(self.run(shlex.split(line)) for line in lines if not line.startswith("pip "))
+                output = "".join(self.run_command(shlex.split(line)) for line in lines if not line.startswith("pip "))
             elif step.shows and not is_printed(step.text, output, choose_tolerance(self.page)):
-                raise Wrong(f"{self.page.name}:{step.line} says\n{step.text}\nand here is printed\n{output}")
+                raise PageError(f"{self.page.name}:{step.line} says\n{step.text}\nand here is printed\n{output}")
             took = time.perf_counter() - begin
             self.first = self.first or (took if output else 0.0)
             self.slowest = max(self.slowest, took)
 
 
 def main() -> int:
-    """Follow them."""
+    """Follow the pages, and return the exit code."""
     named = [Path(p).resolve() for p in sys.argv[1:]] or sorted((ROOT / "docs" / "tutorials").glob("*.md"))
     bad = 0
     with tempfile.TemporaryDirectory() as folder:
@@ -119,7 +119,7 @@ def main() -> int:
                 begin = time.perf_counter()
                 try:
                     person.follow()
-                except Wrong as wrong:
+                except PageError as wrong:
                     bad += 1
                     print(f"{page.stem}: WRONG\n{wrong}")
                     continue

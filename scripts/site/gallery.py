@@ -1,4 +1,4 @@
-"""The gallery: every picture of the docs, with the page that explains it and the command that draws it."""
+"""Gallery of the site: every picture of the docs, with the page that explains it and the command that draws it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,14 @@ ELSEWHERE = {
 
 
 class Picture(NamedTuple):
-    """file: in docs/pictures; says: its alternative text; page: in docs, or README.md; command: draws the picture."""
+    """Picture of the docs.
+
+    Attributes:
+        file: File in docs/pictures.
+        says: Alternative text.
+        page: Page in docs, or README.md.
+        command: Command that draws the picture.
+    """
 
     file: Path
     says: str
@@ -27,7 +34,7 @@ class Picture(NamedTuple):
     command: str
 
 
-def pictures(root: Path) -> list[Picture]:
+def list_pictures(root: Path) -> list[Picture]:
     """List every picture of the pages once, in the order of the pages."""
     pictures_by_file: dict[Path, Picture] = {}
     for page in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
@@ -38,7 +45,12 @@ def pictures(root: Path) -> list[Picture]:
 
 
 def find_command(root: Path, file: Path) -> str:
-    """The command that draws a picture: of `make pictures`, of another target, or a script that names it; "" if there is none."""
+    """Return the command that draws a picture: `make pictures`, another target of make, or a script that names it; "" for none.
+
+    Args:
+        root: Root of the repository.
+        file: File of the picture.
+    """
     name = file.relative_to(root / "docs").as_posix()
     for line in (root / "Makefile").read_text().splitlines():
         if line.startswith("\t") and f"docs/{name}" in line:
@@ -53,9 +65,14 @@ def find_command(root: Path, file: Path) -> str:
 
 
 def write(root: Path, pages: Path) -> None:
-    """gallery.md among the pages of the site."""
+    """Write gallery.md to the pages of the site.
+
+    Args:
+        root: Root of the repository.
+        pages: Folder of the site's pages.
+    """
     text = ["# Gallery\n", "Every picture is made by a command. Its page says what it shows.\n"]
-    for p in pictures(root):
+    for p in list_pictures(root):
         page = "index.md" if p.page.name == "README.md" else p.page.relative_to(root / "docs").as_posix()
         command = f"`{p.command}`" if p.command else ""
         text.append(f"## {p.file.stem.replace('_', ' ')}\n")

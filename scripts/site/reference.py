@@ -1,4 +1,4 @@
-"""The pages of the reference, made of what there is: packages, command line, register maps."""
+"""Reference pages of the site, generated from packages, command line and register maps."""
 
 from __future__ import annotations
 
@@ -20,25 +20,32 @@ PACKAGES = [
 
 
 def write(pages: Path) -> dict[str, list[tuple[str, str]]]:
-    """Write them; returns the pages, as (title, path), of each group of the navigation."""
+    """Write all reference pages.
+
+    Args:
+        pages: Folder of the site's pages.
+
+    Returns:
+        The pages of each group of the navigation, as (title, path).
+    """
     folder = pages / "reference"
     folder.mkdir(exist_ok=True)
-    (folder / "command_line.md").write_text(command_line())
+    (folder / "command_line.md").write_text(format_command_line_page())
     pages_by_section: dict[str, list[tuple[str, str]]] = {"Register maps": [], "Python": []}
     for line in CHIPS.list_chips():
         if line.chip is not None and line.package == "pulsestage":
             name = line.name.lower()
-            (folder / f"map_{name}.md").write_text(register_map(line.chip.MAP))
+            (folder / f"map_{name}.md").write_text(format_register_map_page(line.chip.MAP))
             pages_by_section["Register maps"].append((line.name, f"reference/map_{name}.md"))
     for package in PACKAGES:
         path = f"reference/{package.replace('.', '_')}.md"
-        (pages / path).write_text(python(package))
+        (pages / path).write_text(format_package_page(package))
         pages_by_section["Python"].append((package, path))
     return pages_by_section
 
 
-def python(package: str) -> str:
-    """A page for mkdocstrings: the module's own text, and each public name where it is defined."""
+def format_package_page(package: str) -> str:
+    """Format a page for mkdocstrings: the docstring of a package, and each public name where it is defined."""
     module = importlib.import_module(package)
     text = [f"# {package}\n", f"::: {package}\n    options:\n      members: []\n      show_root_heading: false\n"]
     for name in list_public_names(module):
@@ -61,8 +68,8 @@ def list_public_names(module: Any) -> list[str]:
     ]  # fmt: skip
 
 
-def command_line() -> str:
-    """Every command with its help, as the terminal shows it."""
+def format_command_line_page() -> str:
+    """Format a page with the help of every command, as the terminal shows it."""
     parser = build_parser()
     commands = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     text = ["# Command line\n", "```text\n" + parser.format_help().rstrip() + "\n```\n"]
@@ -71,35 +78,36 @@ def command_line() -> str:
     return "\n".join(text)
 
 
-def register_map(map_: RegisterMap) -> str:
-    """A chip's registers, words and commands as tables."""
+def format_register_map_page(map_: RegisterMap) -> str:
+    """Format a page with the registers, words and commands of a chip as tables."""
     text = [
         f"# {map_.chip}\n",
         f"{map_.title}. Source: {map_.source}. `stage registers {map_.chip.lower()}` prints the same.\n",
     ]
     text += ["## Registers\n", "| register | bits | access | legal | evidence | |", "|---|---|---|---|---|---|"]
     text += [
-        f"| `{r.name}` | {r.bits} | {r.access} | {_legal(r)} | {r.evidence} | {_cell(r.text)} |" for r in map_.registers
+        f"| `{r.name}` | {r.bits} | {r.access} | {_format_legal_values(r)} | {r.evidence} | {_escape_cell(r.text)} |"
+        for r in map_.registers
     ]
     for place in map_.places:
         if place.fields:
-            text += [f"\n### {place.name}\n", _cell(_title(place)) + "\n"]
+            text += [f"\n### {place.name}\n", _escape_cell(_format_title(place)) + "\n"]
             text += ["| bits | field | evidence | |", "|---|---|---|---|"]
-            text += [f"| {f.bits} | `{f.name}` | {f.evidence} | {_cell(f.text)} |" for f in place.fields]
+            text += [f"| {f.bits} | `{f.name}` | {f.evidence} | {_escape_cell(f.text)} |" for f in place.fields]
     text += ["\n## Commands\n", "| code | command | evidence | |", "|---|---|---|---|"]
-    text += [f"| {c.hex} | `{c.symbol}` | {c.evidence} | {_cell(c.description)} |" for c in map_.commands]
+    text += [f"| {c.hex} | `{c.symbol}` | {c.evidence} | {_escape_cell(c.description)} |" for c in map_.commands]
     return "\n".join(text) + "\n"
 
 
-def _title(place: Register | Word) -> str:
+def _format_title(place: Register | Word) -> str:
     return place.text
 
 
-def _legal(r: Register) -> str:
+def _format_legal_values(r: Register) -> str:
     from stage.chips.register_map import _format_range as format_range
 
-    return _cell(format_range(r))
+    return _escape_cell(format_range(r))
 
 
-def _cell(text: str) -> str:
+def _escape_cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")

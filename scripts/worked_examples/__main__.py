@@ -1,4 +1,4 @@
-"""Numbers of the data sheets beside what the emulated chips do.
+"""Numbers of the data sheets, compared with those of the emulated chips.
 
 python scripts/worked_examples                                      prints them
 python scripts/worked_examples --markdown docs/worked_examples.md   writes them between the page's markers

@@ -12,7 +12,12 @@ TIMER = 0x0F
 
 
 def measure_sample_time(clock_hz: int, t: int) -> float:
-    """Seconds between two reloads of the timer that are seen by reading it, after the second one."""
+    """Measure the time between two reloads of the sample timer, s, by reading the timer.
+
+    Args:
+        clock_hz: Clock of the chip, Hz.
+        t: Value of the timer's register.
+    """
     chip = HCTL1100(clock_hz)
     chip.write(TIMER, t)
     reloads, last = [], chip.read(TIMER)
@@ -51,7 +56,11 @@ LEAST = (0x07, 0x07, 0x0F, 0x0F)
 
 
 def find_minimum_timer(flags: tuple[int, ...]) -> int:
-    """The least R0F of which no diagnostic says, when a mode begins, that the mode needs more."""
+    """Find the smallest R0F with which a mode begins without a diagnostic about the sample time.
+
+    Args:
+        flags: Flags of the mode.
+    """
     for t in range(256):
         chip = HCTL1100()
         chip.write(0x26, 1)  # an acceleration and

@@ -91,7 +91,14 @@ STOP0, LIMIT, SOFT, S_CURVE = (
 
 
 def is_driving_after(act: Callable[[ChipPort], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
-    """n-DRV of an MCX304 two seconds after `act` at the end of a deceleration, in area d of the notice's figure 3."""
+    """Return n-DRV of an MCX304 two seconds after an action at the end of a deceleration, in area d of the notice's figure 3.
+
+    Args:
+        act: Action on the port.
+        wr2: Value of WR2.
+        wr3: Value of WR3.
+        start: Symbol of the drive command.
+    """
     p = make_port(MCX304, **FAST, P=40_000, CP=1_000_000)
     p.write_mode_words(WR1=STOP0, WR2=wr2, WR3=wr3)
     p.write_command(start)
@@ -108,16 +115,17 @@ def is_driving_after(act: Callable[[ChipPort], None], wr2: int = 0, wr3: int = S
 
 
 def make_pin_action(name: str) -> Callable[[ChipPort], None]:
-    """Assert an input of the axis."""
+    """Return an action that asserts an input of the axis."""
     return lambda p: setattr(p.axis.pins, name, True)
 
 
 def make_command_action(symbol: str) -> Callable[[ChipPort], None]:
+    """Return an action that writes a command."""
     return lambda p: p.write_command(symbol)
 
 
 def set_soft_limit(p: ChipPort) -> None:
-    """COMP+ where the axis is."""
+    """Set the software limit COMP+ to the present position."""
     p.write_parameters(CP=p.read_position() - 1)
 
 

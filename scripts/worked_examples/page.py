@@ -1,4 +1,4 @@
-"""The table of docs/worked_examples.md."""
+"""Table of docs/worked_examples.md."""
 
 from __future__ import annotations
 

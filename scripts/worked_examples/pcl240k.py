@@ -15,7 +15,13 @@ sheet = partial(example, "PCL-240K")
 
 
 def start_chip(control: int, start: int, **registers: int) -> PCL240K:
-    """A chip after a start."""
+    """Make a chip, write its registers and start it.
+
+    Args:
+        control: Control mode command.
+        start: Start command.
+        **registers: Values by name.
+    """
     chip = PCL240K(CLOCK)
     chip.write(0, control)
     write_registers(chip, **registers)
@@ -24,7 +30,7 @@ def start_chip(control: int, start: int, **registers: int) -> PCL240K:
 
 
 def count_pulses_in_a_second(**registers: int) -> int:
-    """Pulses in the first second at constant FH1 speed."""
+    """Count the pulses in the first second at constant FH1 speed."""
     return start_chip(MANUAL, FH1, R1=1, **registers).advance(CLOCK)
 
 

@@ -17,7 +17,12 @@ RETURN_BY_INDEX = 1 << 21  # of R13
 
 
 def start_chip(control: int, **registers: int) -> PCL240MS:
-    """A chip after a high-speed start."""
+    """Make a chip, write its registers and start it at high speed.
+
+    Args:
+        control: Control mode command.
+        **registers: Values by name.
+    """
     chip = PCL240MS(CLOCK)
     chip.write(0, control)
     write_registers(chip, **registers)
@@ -26,7 +31,7 @@ def start_chip(control: int, **registers: int) -> PCL240MS:
 
 
 def start_ramp_down(**registers: int) -> PCL240MS:
-    """A chip at FH that was told to go on at FL."""
+    """Return a chip that was at FH and has just begun to ramp down to FL."""
     chip = start_chip(MANUAL, **registers)
     chip.advance(4 * CLOCK)
     chip.write(0, FL_RAMPS)
@@ -35,9 +40,13 @@ def start_ramp_down(**registers: int) -> PCL240MS:
 
 
 def compute_s_curve_span(clocks: np.ndarray, fl: float) -> float:
-    """Return how many pps above `fl` the acceleration has its final value, from the pulses of a ramp.
+    """Compute from the pulses of a ramp how many pps above `fl` the acceleration has reached its final value.
 
-    Below, its square is proportional to the rate gained.
+    Below that rate, the square of the acceleration is proportional to the increase of the rate.
+
+    Args:
+        clocks: Clock of each pulse.
+        fl: Start rate, pps.
     """
     t = clocks[:: max(len(clocks) // 1000, 1)] / CLOCK
     rate, middle = (len(clocks) // (len(t) - 1)) / np.diff(t), (t[1:] + t[:-1]) / 2
@@ -122,7 +131,11 @@ def _revised_linear() -> float:
 
 
 def count_pulses_left(offset: int) -> int:
-    """R0 where the automatic ramp down of a long move begins."""
+    """Return R0 where the automatic ramp-down of a long move begins.
+
+    Args:
+        offset: Value of R6.
+    """
     chip = start_chip(AUTOMATIC, R0=60_000, R6=offset & 0xFFFFFF, **MOVE)
     chip.advance(CLOCK)
     find_clock(chip, lambda c: c.pins.fdown, CLOCK * 6 // 10)

@@ -1,4 +1,4 @@
-"""What a row of the page is, and the few things that every measurement needs."""
+"""Rows of the page of worked examples, and helpers of their measurements."""
 
 from __future__ import annotations
 
@@ -15,10 +15,17 @@ Number = int | float
 
 @dataclass(frozen=True)
 class Example:
-    """A number of a data sheet, and how the emulated chip makes it.
+    """Number of a data sheet, and a measurement of it on the emulated chip.
 
-    sheet, place: which sheet, and where in it. says: what the number is. number: the sheet's own, or what its formula gives for the
-    registers named. within: by how much the emulated one may differ, in the same unit; why: where that is not 0, why.
+    Attributes:
+        sheet: Name of the data sheet.
+        place: Section in it.
+        says: Meaning of the number.
+        number: Number of the data sheet, or of its formula for the named registers.
+        unit: Unit of the number.
+        measure: Function that measures it on the emulated chip.
+        within: Largest allowed difference, in the same unit.
+        why: Reason for a difference.
     """
 
     sheet: str
@@ -31,7 +38,7 @@ class Example:
     why: str = ""
 
     def agrees(self, emulated: Number) -> bool:
-        """Tell whether this is what the sheet says."""
+        """Return whether a measured number agrees with the data sheet."""
         return bool(abs(emulated - self.number) <= self.within)
 
 
@@ -42,7 +49,17 @@ EXAMPLES: list[Example] = []
 def example(
     sheet: str, place: str, says: str, number: Number, unit: str = "", within: float = 0, why: str = ""
 ) -> Callable[[Callable[[], Number]], Callable[[], Number]]:
-    """Make the function below a row."""
+    """Register the decorated function as the measurement of an example.
+
+    Args:
+        sheet: Name of the data sheet.
+        place: Section in it.
+        says: Meaning of the number.
+        number: Number of the data sheet.
+        unit: Unit of the number.
+        within: Largest allowed difference, in the same unit.
+        why: Reason for a difference.
+    """
 
     def add(measure: Callable[[], Number]) -> Callable[[], Number]:
         EXAMPLES.append(Example(sheet, place, says, number, unit, measure, within, why))
@@ -59,7 +76,13 @@ def write_registers(chip: Chip, **registers: int) -> None:
 
 
 def find_clock(chip: Chip, observed: Callable[[Any], bool], within: int) -> int:
-    """Let the clock run until `seen(chip)`, which once true stays so: the clocks that this took. `within`: the most clocks."""
+    """Let the clock run until a condition is true, and return the number of clocks.
+
+    Args:
+        chip: Chip to run.
+        observed: Condition, which stays true once it is true.
+        within: Largest number of clocks.
+    """
     started, least, highest = chip.snapshot(), 0, within
     while highest - least > 1:
         chip.restore(started)
@@ -73,10 +96,16 @@ def find_clock(chip: Chip, observed: Callable[[Any], bool], within: int) -> int:
 
 
 def compute_intervals(pulses: np.ndarray) -> np.ndarray:
-    """Clocks from each pulse of a trace to the next."""
+    """Return the clocks from each pulse of a trace to the next."""
     return np.diff(pulses["clock"])
 
 
 def compute_highest_rate(pulses: np.ndarray, hz: int, mean: int = 16) -> float:
-    """The highest mean rate of `mean` pulses one after the other, pps."""
+    """Compute the highest mean rate of consecutive pulses, pps.
+
+    Args:
+        pulses: Trace of pulses.
+        hz: Clock of the chip, Hz.
+        mean: Number of pulses over which the rate is averaged.
+    """
     return hz * mean / int((pulses["clock"][mean:] - pulses["clock"][:-mean]).min())

@@ -376,21 +376,21 @@ def command_table():
 @pytest.fixture(scope="module")
 def covered():
     """Chip and symbol -> the tests of a command, found in all test files."""
-    return command_table().covered(ROOT / "tests")
+    return command_table().count_covering_tests(ROOT / "tests")
 
 
 def test_the_tables_of_the_docs_are_up_to_date(covered):
     script = command_table()
     page = script.PAGE.read_text()
-    assert script.renewed(page, covered) == page, "run python scripts/command_table.py"
-    assert script.renewed(page.replace("| JK |", "| KJ |"), {}) != page.replace("| JK |", "| KJ |")
+    assert script.renew_tables(page, covered) == page, "run python scripts/command_table.py"
+    assert script.renew_tables(page.replace("| JK |", "| KJ |"), {}) != page.replace("| JK |", "| KJ |")
 
 
 def test_a_table_names_the_chips_and_the_tests_of_a_command(tmp_path):
     (tmp_path / "test_one.py").write_text('@covers("MCX304 MCX302", "V", "A")\ndef test_x(): ...\n')
     (tmp_path / "test_two.py").write_text('@covers("MCX312", "V", "IP_CW")\ndef test_x(): ...\ndef test_y(): ...\n')
     script = command_table()
-    table = script.table([MCX304_MAP, MCX302_MAP, MCX312_MAP], script.covered(tmp_path))
+    table = script.format_table([MCX304_MAP, MCX302_MAP, MCX312_MAP], script.count_covering_tests(tmp_path))
     for row in (
         r"\| V \| 05h \|.*\| all \|.*\| test_one \(2\), test_two \| C \|",
         r"\| D \| 03h \|.*\| all \|.*\| - \| C \|",
