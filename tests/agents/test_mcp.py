@@ -42,7 +42,7 @@ def served():
 
 
 def assert_all_sessions_end(served):
-    """The last session ends."""
+    """Assert that the last session of a server ends."""
     end = time.monotonic() + 60
     while len(served.sessions) and time.monotonic() < end:
         time.sleep(0.02)
@@ -347,7 +347,7 @@ def test_fifty_sessions_at_once_are_served_and_leave_nothing_over():
 
 
 def open_session(served):
-    """A session by hand: its headers."""
+    """Open a session by HTTP requests, and return its headers."""
     import httpx2
 
     begin = {"protocolVersion": "2025-11-25", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"}}

@@ -26,7 +26,7 @@ def entries(*rows: tuple[int, ...]) -> np.ndarray:
 
 
 def together(board: Board, rows: list[tuple[int, ...]]) -> list[int]:
-    """The answers of the rows as a batch."""
+    """Run rows as one batch, and return their answers."""
     requested, answers = entries(*rows), np.zeros(len(rows), np.int64)
     assert find_first_invalid(requested, 1) == len(rows)
     board.link.begin_run()

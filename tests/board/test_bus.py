@@ -20,7 +20,7 @@ IN8, OUT8, IN16, OUT16, DELAY = range(5)
 
 
 def pcl240_traffic(rng: random.Random, n: int) -> list[tuple[int, int, int]]:
-    """Moves of three PCL-240, and noise: (what, a, b) of ports from 300h."""
+    """Draw bus cycles of moves of three PCL-240 chips, and random ones: (what, a, b) of ports from 300h."""
     program: list[tuple[int, int, int]] = []
     for k in range(3):
         port = 0x300 + 4 * k
@@ -49,7 +49,7 @@ def pcl240_traffic(rng: random.Random, n: int) -> list[tuple[int, int, int]]:
 
 
 def by_hand(stage: Stage, program: list[tuple[int, int, int]]) -> list[int]:
-    """The same on the chips themselves."""
+    """Make the bus cycles of a program on the chips themselves."""
     chips, answers = [axis.chip for axis in stage.axes.values()], []
 
     def reach(port: int, value: int | None = None) -> int:
@@ -77,7 +77,7 @@ def by_hand(stage: Stage, program: list[tuple[int, int, int]]) -> list[int]:
 
 
 def everything(stage: Stage) -> tuple:
-    """All that a run may leave behind."""
+    """Return all state that a run may change."""
     return stage.snapshot().state.tobytes(), [chip.diagnostics for chip in stage.chips]
 
 
@@ -337,7 +337,7 @@ def test_every_layout_can_be_looked_up_and_lies_where_it_says():
 
 
 def moving(stage: Stage, pulses: int = 400) -> Board:
-    """A board whose x chip makes `pulses` at a constant rate and then pulls the interrupt line."""
+    """Make a board whose x chip makes `pulses` at a constant rate and then asserts the interrupt line."""
     board = Board(stage)
     start(board, 0x300, pulses)
     return board

@@ -182,12 +182,12 @@ def test_a_reset_of_an_hctl2016_ends_the_inhibition_of_its_latch():
 
 
 def uart(*more, lcr=3, fcr=1):
-    """1,843,200 Hz, divisor 1."""
+    """Make a UART of 1,843,200 Hz with divisor 1."""
     return DetachedDevice(UART()).write((3, 0x80 | lcr), (0, 1), (1, 0), (3, lcr), (2, fcr), *more)
 
 
 def feed(b, n):
-    """The peer begins now to send so many bytes, 0, 1, 2 and so on."""
+    """Let the peer begin to send n bytes: 0, 1, 2 and so on."""
     s = b.registers
     s["due"] = b.at + compute_character_ns(b)
     for _ in range(n):

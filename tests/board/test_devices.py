@@ -79,7 +79,7 @@ def adc(tmp_path_factory):
 
 
 def with_devices(adc) -> tuple[Board, np.ndarray, list]:
-    """A board with devices in C and in Python, and what the latter has seen."""
+    """Make a board with devices in C and in Python, and return it with the list of what the latter has received."""
     stage = Stage("xy", visuals=False)
     board, observed, state = Board(stage, devices=["hctl2016:0x320:x"]), [], np.zeros(2, np.int64)
     board.add_device(range(0x340, 0x342), source=adc, encoders=[Encoder("x", per_metre=1e6)])

@@ -39,7 +39,7 @@ def latin(tmp_path) -> Path:
 
 
 def write_source(folder: Path, body: str, name: str = "drive.c") -> Path:
-    """A source with a comment and a warning in Shift-JIS."""
+    """Write a C source with a comment and a warning in Shift-JIS."""
     source = folder / name
     text = b"#include <pulsestage.h>\n/* " + SHIFT_JIS + b" */\n#warning " + SHIFT_JIS + b"\n" + body.encode() + b"\n"
     source.write_bytes(text)

@@ -171,7 +171,7 @@ host.run(timeout=1e8, max_cycles=1 << 60)
 
 
 def is_terminated(pid: int) -> bool:
-    """No such process, or a dead one that nobody has waited for."""
+    """Return whether a process does not exist any more, or is dead and nobody has waited for it."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -42,7 +42,7 @@ RUNNERS = """
 
 
 def accesses(rng: random.Random, n: int) -> str:
-    """C functions that make random accesses of every width, computing in between."""
+    """Return C functions that make random accesses of every width, with computations in between."""
     parts, calls = [], []
     for k in range(n // 12):
         lines = []
@@ -86,7 +86,7 @@ def accesses(rng: random.Random, n: int) -> str:
 
 
 def ran(library, chips=MCX304, pieces: float = 0, **options) -> tuple:
-    """All that a run leaves."""
+    """Run a library, and return all state that the run changes."""
     board = Board(Stage("xy", chips=chips, visuals=False))
     with NativeHost(library, board, **options) as host:
         while pieces and host.run_for(pieces) is None:
@@ -96,7 +96,7 @@ def ran(library, chips=MCX304, pieces: float = 0, **options) -> tuple:
 
 
 def same_as_ports(body: str, *flags: str, chips=MCX304) -> None:
-    """Accesses to a window leave what port cycles leave."""
+    """Assert that accesses to a window have the effects of port cycles."""
     by_ports = ran(firmware(HEAD + RUNNERS + body, "-DPORTS", *flags), chips)
     library = firmware(HEAD + RUNNERS + body, *flags)
     assert ran(library, chips, map=WINDOW) == by_ports

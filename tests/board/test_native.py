@@ -47,19 +47,19 @@ FOR_EVER = "PULSESTAGE_MAIN { for (;;) { ps_in8(0x300); ps_delay_us(10); } }"
 
 
 def host(body: str, chips=PCL240K, isolated: bool = False, **options) -> NativeHost:
-    """Firmware on a board of its own."""
+    """Run firmware on a new board."""
     return NativeHost(firmware(body), Board(Stage("xyz", chips=chips, visuals=False)), isolated=isolated, **options)
 
 
 def collect_results(h: NativeHost) -> tuple:
-    """All that a run leaves: state, trace, log, diagnostics."""
+    """Return all results of a run: state, trace, log, diagnostics."""
     stage = h.board.stage
     message = [chip.diagnostics for chip in stage.chips]
     return stage.snapshot().state.tobytes(), h.board.trace.lines().tobytes(), h.board.log, h.board.cycles, message
 
 
 def in_pieces(h: NativeHost) -> NativeHost:
-    """A run with a payload put on in the middle of it."""
+    """Run in two pieces, between which a payload is added."""
     assert h.run_for(0.31) is None
     h.board.stage.set_payload(0.3)
     assert h.run_for(0.0701234) is None

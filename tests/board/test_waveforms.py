@@ -36,7 +36,7 @@ def dumped(recording, tmp_path, name="it.vcd"):
 
 
 def cycles(vcd):
-    """(time, R or W, port, data) of each cycle, at the rising edge of its strobe."""
+    """List (time, R or W, port, data) of each cycle in a VCD, at the rising edge of its strobe."""
     ends = [(t, "RW"[strobe == "WR_n"]) for strobe in ("RD_n", "WR_n") for t in vcd.edges(f"host.{strobe}", 1)]
     return [(t, direction, vcd.at("host.PORT", t), vcd.at("host.DATA", t)) for t, direction in sorted(ends)]
 

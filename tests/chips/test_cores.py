@@ -64,7 +64,7 @@ LIKELY = (0x08, 0x10, 0x15, 0x12, 0x40, 0x44, 0x80, 0x87, 0x103, 0x104, 0x105, 0
 
 
 def move(chip, pulses):
-    """A drive on the first axis."""
+    """Start a drive on the first axis."""
     if chip.SERVO:
         servo_programs.move(chip, pulses)
     elif "nova" in chip.CORE.__name__:
@@ -79,7 +79,7 @@ def move(chip, pulses):
 
 
 def go_on(chip, rng, acts):
-    """Random bus cycles, pins and time; all that the chip said and did."""
+    """Make random bus cycles, pin changes and waits, and return all that the chip answered and did."""
     cls, message = type(chip), []
     for _ in range(acts):
         what = rng.integers(0, 20)

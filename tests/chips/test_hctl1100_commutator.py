@@ -11,7 +11,7 @@ FOUR, FULL = 0x02, 0x04
 
 
 def commutator(x, y, phases=3, status=0, offset=0, maximum=0, timer=0):
-    """A chip whose ring fits X and Y."""
+    """Make a chip whose commutator ring fits X and Y."""
     return bench(
         [(0x07, status | (FOUR if phases == 4 else 0)), (0x18, phases * (x + y)), (0x1A, x), (0x1B, y)],
         [(0x1C, offset & 0xFF), (0x1F, maximum), (0x19, timer)],
@@ -23,7 +23,7 @@ def phases(chip):
 
 
 def turn(chip, counts):
-    """The phases at each of these counts."""
+    """Return the phases at each of these encoder counts."""
     observed = []
     for count in counts:
         chip.encoder = count

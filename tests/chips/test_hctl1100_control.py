@@ -22,7 +22,7 @@ from stage.chips.hctl1100 import core
 
 
 def waveforms(chip, samples):
-    """The command position after each sample."""
+    """Return the command position after each sample."""
     at = []
     for _ in range(samples):
         chip.advance(SAMPLE)
@@ -317,7 +317,7 @@ def mean(rows, i, ticks):
 
 
 def mean_of(chip, clocks, writes=()):
-    """Mean drive over a slice as a stage asks for it; writes: (clocks after its start, address, value)."""
+    """Return the mean motor command over a slice, as a stage reads it; writes: (clocks after its start, address, value)."""
     mean(chip._rows, chip._i, 1.0)
     at = 0
     for when, address, value in writes:

@@ -25,7 +25,7 @@ def happen(chip, cycle):
 
 
 def says(listener, cycle):
-    """What the listener says of a cycle that happened."""
+    """Return the description of a bus cycle by a listener."""
     write, address, value = cycle
     return listener.write(address, value) if write else listener.read(address, value)
 
@@ -390,7 +390,7 @@ def test_an_hctl1100_register_holds_the_value_that_the_listener_describes(seed):
 
 
 def program(make, rng):
-    """A random program, in parts that a trace does not begin within."""
+    """Draw a random program, in parts within which no trace begins."""
     statement = _pcl240_statement if make in PCL else _hctl1100_statement if make is HCTL1100 else _nova_statement
     return [part for _ in range(40) for part in statement(make, rng)]
 

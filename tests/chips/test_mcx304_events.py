@@ -19,7 +19,7 @@ def rr3(chip):
 
 
 def cruise(chip, minus=False):
-    """500,000 pps: a pulse every 32 clocks."""
+    """Drive at 500,000 pps, a pulse every 32 clocks."""
     load(chip, R=80_000, SV=5000, V=5000)
     command(chip, 0x23 if minus else 0x22)
 

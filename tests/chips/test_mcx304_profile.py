@@ -75,7 +75,7 @@ class Registers(NamedTuple):
 
 
 def start(chip, registers, axes=X, minus=False):
-    """The clock of the start."""
+    """Start a drive, and return the clock of the start."""
     load_304(chip, axes, **{name: getattr(registers, name) for name in ("R", "K", "A", "D", "SV", "V", "AO")})
     if isinstance(chip, MCX312):
         put(chip, 0x0E, registers.K, axes)  # L, which the others do not have
@@ -111,7 +111,7 @@ def assert_made(chip, registers, interventions=(), minus=False, until=None):
 
 
 def random_registers(rng, fixed=True):
-    """Ramps of milliseconds to some seconds, up to some 2000 pulses."""
+    """Draw registers for ramps of milliseconds to some seconds, and up to about 2000 pulses."""
     sv, v = sorted((log_uniform(rng, 1, 8000), log_uniform(rng, 2, 8000)))
     pulses = log_uniform(rng, 1, 2000)
     return Registers(

@@ -36,7 +36,7 @@ def rr1(chip):
 
 
 def interrupts(chip):
-    """INT0N, INT1N: the pins of the chip as a whole."""
+    """Return the pins INT0N and INT1N of the chip."""
     return chip.output_word(chip.AXES)
 
 
@@ -370,7 +370,7 @@ def test_an_event_causes_an_interrupt_only_if_wr1_enables_it():
 
 
 def ports(chip):
-    """PIO7 to PIO0 of X."""
+    """Return the pins PIO7 to PIO0 of X."""
     return chip.read(4) & 0xFF
 
 

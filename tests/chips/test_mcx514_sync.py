@@ -54,7 +54,7 @@ def activate(chip, axes=X, m=0):
 
 
 def acted(chip, m=0, axes=X):
-    """SYNCm of RR1, which clears it."""
+    """Read SYNCm of RR1, which clears it."""
     return bool(word(chip, 1, axes) & SYNC0 << m)
 
 
@@ -363,7 +363,7 @@ def test_sets_that_activate_each_other_act_once_at_a_clock():
 
 
 def busy():
-    """A chip on which everything of this page goes on at once."""
+    """Make a chip on which all functions of this file are active at once."""
     chip = MCX514()
     set_word(chip, 3, 0x4000, X | Y)
     load(chip, X | Y, SV=1000, DV=300_000, AC=50_000_000, TP=500, TM=61, SP1=2 << 16 | 5, IV=777, P1M=0xFF00)

@@ -16,7 +16,7 @@ data = st.one_of(st.integers(-60, 60), st.integers(1, 1_000_000), st.integers(0,
 
 
 def steps(make):
-    """Commands with data, bare words, inputs, time."""
+    """Draw commands with data, raw words, inputs and waits."""
     codes = st.one_of(st.sampled_from(sorted(make.MAP.by_code)), st.integers(0, 255))
     axes = st.integers(0, (1 << make.AXES) - 1)
     return st.one_of(

@@ -63,7 +63,7 @@ def send_bits(chip, words, axes=X | Y):
 
 
 def random_word(rng):
-    """Each bit +, - or none."""
+    """Draw a word whose bits are plus, minus or none."""
     steps = [rng.choice([0, 0, 1, 1 << 16]) for _ in range(16)]
     return sum(step << bit for bit, step in enumerate(steps))
 
@@ -133,7 +133,7 @@ def test_the_pre_buffer_holds_eight_segments_after_the_running_one():
 
 
 def random_segment(rng):
-    """A line, or an arc with its centre, of some 3 to 200 LSB."""
+    """Draw a line, or an arc with its center, of about 3 to 200 LSB."""
     if rng.random() < 0.5:
         finish = tuple(rng.choice([-1, 1]) * log_uniform(rng, 1, 200) for _ in range(2))
         return ("line", finish)

@@ -59,7 +59,7 @@ def rr(chip, n, axis=X):
 
 
 def stopped_after(chip, maximum=10 * SECOND):
-    """Clocks until X drives no more, to the clock."""
+    """Return the exact number of clocks until X does not drive any more."""
     begin, step = chip.clock, maximum
     probe = chip.snapshot()
     while step:

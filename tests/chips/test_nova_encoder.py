@@ -18,14 +18,14 @@ MRM, MR0, RR1_CMR0 = 0x20, 0x10, 1
 
 
 def real_position(chip, axes=1):
-    """RP, EP as a host reads it."""
+    """Return the real position (RP, EP) as a host reads it."""
     command(chip, 0x31 if isinstance(chip, MCX514) else 0x11, axes)
     value = chip.read(6) | chip.read(7) << 16
     return value - (1 << 32) if value >> 31 else value
 
 
 def set_mode(chip, mode, exchanged):
-    """Mode: 0 x4, 1 x2, 2 x1, 3 up / down."""
+    """Set the mode of the encoder inputs: 0 x4, 1 x2, 2 x1, 3 up / down."""
     if isinstance(chip, MCX514):
         command(chip, 0x1F)
         chip.write(3, mode << 8 | exchanged << 11)

@@ -86,7 +86,7 @@ class Course(NamedTuple):
         return math.ceil(clocks[area] * SECOND - 1e-6)
 
     def speed_in_d(self, clock):
-        """pps."""
+        """Return the speed in area d at a clock, pps."""
         return self.SV * 10 + self.jerk / 2 * (self.seconds - clock / SECOND) ** 2
 
     def load(self, chip, wr1=0, wr2=0, wr3=SACC):
@@ -130,7 +130,7 @@ def soft_limit_lp(chip, sign):
 
 
 def soft_limit_ep(chip, sign):
-    """The encoder's counter jumps beyond the limit."""
+    """Let the encoder's counter jump beyond the software limit."""
     put(chip, 0x0B if sign > 0 else 0x0C, sign * 1000 & 0xFFFFFFFF)
     put(chip, 0x0A, sign * 1001 & 0xFFFFFFFF)
 
@@ -162,12 +162,12 @@ def phases(chip):
 
 
 def runs_away(chip):
-    """n-DRV = 1, ASND = CNST = DSND = 0, and pulses beyond P."""
+    """Return whether a chip shows the failure: n-DRV = 1, ASND = CNST = DSND = 0, and pulses beyond P."""
     return driving(chip) and chip.read(1) & ALL_SIX == 0 and chip.advance(20 * SECOND) > COURSE.P
 
 
 def begin_drive(cls, name, area, sign=1, **options):
-    """A drive with a request made in an area."""
+    """Begin a drive, with a request made in an area of the notice's figure 3."""
     request = REQUESTS[name]
     chip = COURSE.begin(cls(**options), area, sign, wr1=request.wr1, wr2=request.wr2)
     request.act(chip, sign)
@@ -175,7 +175,7 @@ def begin_drive(cls, name, area, sign=1, **options):
 
 
 def ends(chip):
-    """The pulses that the drive has made when it ended by itself."""
+    """Return the pulses that a drive has made when it ends by itself."""
     go(chip, 10 * SECOND)
     assert not driving(chip)
     assert phases(chip) == 0

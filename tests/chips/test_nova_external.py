@@ -29,7 +29,7 @@ P2M, FLM = 0x22, 0x25
 
 
 def ready(make, mode, pulses=3, delay=False):
-    """A chip with both pins high, at 8000 pps in that mode; delay: of 512 us at its pins."""
+    """Make a chip with both pins high, at 8000 pps in a mode; delay: filter of 512 us at its pins."""
     chip = make()
     set_pins(chip, False, False)
     if make is MCX514:

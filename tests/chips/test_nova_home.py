@@ -38,7 +38,7 @@ def switches(direction, stop2=lambda q: q % 50 == 25):
 
 
 def put_at(chip, start, direction, **also):
-    """Speeds (50,000 pps and HV 5,000 pps), the axis at q = `start`, its switches. Returns them."""
+    """Set speeds (50,000 pps and HV 5,000 pps), put the axis at q = `start`, and return its switches."""
     chip.place = start * direction  # where net = 0 is
     if isinstance(chip, MCX514):
         load(chip, SV=10_000, DV=50_000, HV=5_000, AC=50_000_000, **also)

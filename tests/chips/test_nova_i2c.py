@@ -9,13 +9,13 @@ from stage.errors import ArgumentError
 
 
 def order(bus, pins, word):
-    """A command: the high byte of WR0, then its low byte."""
+    """Write a command: the high byte of WR0, then its low byte."""
     assert bus.write(pins << 5 | 1 << 1, word >> 8) == 2
     assert bus.write(pins << 5 | 0 << 1, word & 0xFF) == 2
 
 
 def give(bus, pins, code, value, axes=X):
-    """WR6 and WR7 in one transfer, then the command."""
+    """Write WR6 and WR7 in one transfer, then the command."""
     assert bus.write(pins << 5 | 12 << 1, *value.to_bytes(4, "little", signed=value < 0)) == 5
     order(bus, pins, axes << 8 | code)
 

@@ -366,7 +366,7 @@ def test_a_test_cannot_cover_what_does_not_exist(chip_with_a_command):
 
 
 def command_table():
-    """scripts/command_table.py"""
+    """Import scripts/command_table.py."""
     spec = importlib.util.spec_from_file_location("command_table", ROOT / "scripts" / "command_table.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

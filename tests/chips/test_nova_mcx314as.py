@@ -24,7 +24,7 @@ def prepare(wr5=0x24):
 
 
 def program(rng):
-    """What MCX304 and MCX314As have alike: drives, stops, counters, comparisons."""
+    """Draw a program of what MCX304 and MCX314As have in common: drives, stops, counters, comparisons."""
     for _ in range(rng.randint(10, 60)):
         axes, what = rng.randint(1, 15), rng.random()
         if what < 0.75:

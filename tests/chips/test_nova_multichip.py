@@ -48,7 +48,7 @@ def pair(five):
 
 
 def ready(chip, finish, ipm, go=True):
-    """Finish points, IPM, and the command."""
+    """Write finish points and IPM, and then the command."""
     for axis, value in zip((X, Y, Z, U), finish, strict=False):
         load(chip, axis, TP=value)
     load(chip, IPM=(1 << len(finish)) - 1 | ipm)
@@ -80,7 +80,7 @@ def pass_clocks(stage, clocks):
 
 
 def pulse_count(journal, since):
-    """(clock since then, direction) of a journal's pulses."""
+    """List (clock since then, direction) of the pulses of a journal."""
     edges = journal.replay_waveforms(every_pulse=True).edges
     steps = np.diff(edges["net"], prepend=edges["net"][0])
     at = np.flatnonzero(steps)
@@ -400,7 +400,7 @@ def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
 
 
 def older():
-    """A chip whose clock has run already."""
+    """Make a chip whose clock has already run."""
     chip = MCX514()
     chip.advance(7)
     return chip

@@ -92,7 +92,7 @@ def test_the_last_pulse_of_a_drive_is_as_long_as_the_others():
 
 
 def drive_at_random(chip, rng):
-    """A bus cycle or pin that changes a drive, or begins one."""
+    """Make a random bus cycle or pin change that begins or changes a drive."""
     what = rng.randrange(6)
     if isinstance(chip, MCX514):
         rows = [(0x05, rng.randrange(100_000, 2_000_000)), (0x06, rng.randrange(-60, 60)), (0x04, 400_000)]

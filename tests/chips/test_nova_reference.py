@@ -95,7 +95,7 @@ def test_a_partial_s_curve_takes_dv_over_ac_plus_ac_over_jk():
 
 
 def ramp(low, high, limit, jerk):
-    """Time and pulses of a whole S-curve, by its symmetry."""
+    """Return the time and the pulses of a complete S-curve, by its symmetry."""
     gain = high - low
     time = gain / limit + limit / jerk if gain > limit**2 / jerk else 2 * math.sqrt(gain / jerk)
     return time, (low + high) / 2 * time

@@ -31,7 +31,7 @@ def compare(chip, clocks):
 
 
 def speed(rng):
-    """Periods of whole clocks, of simple and of odd fractions of them."""
+    """Draw a speed whose period is a whole number of clocks, or a simple or an odd fraction of them."""
     return rng.choice(
         [
             rng.randint(1, 8_000_000),
@@ -43,7 +43,7 @@ def speed(rng):
 
 
 def ramp(rng):
-    """SV, DV and AC so that the ramp takes few pulses."""
+    """Draw SV, DV and AC for a ramp of few pulses."""
     sv, dv = speed(rng), speed(rng)
     return sv, dv, min(max(int(abs(dv * dv - sv * sv) / rng.uniform(2, 2000)), 1), 536_870_911)
 

@@ -39,7 +39,7 @@ STARTS = (0x15, 0x10, 0x151, 0x152, 0x120, 0x121, 0x122, 0x161, 0x173, 0x175)
 
 
 def act(chip, rng):
-    """One random thing that a host or a machine does to a chip."""
+    """Make one random change of a chip, as a host or a machine would."""
     axis, what = rng.randrange(chip.AXES), rng.randrange(10)
     if what < 4:
         likely = rng.random() < 0.5

@@ -20,7 +20,7 @@ def commands(*values):
 
 
 def registers(*values):
-    """R0 to R7."""
+    """Return R0 to R7."""
     return flatten(register(n, value) for n, value in enumerate(values))
 
 

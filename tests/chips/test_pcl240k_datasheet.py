@@ -124,7 +124,7 @@ def test_r6_of_psd_rounded_up_plus_5_ends_with_at_least_5_pulses_at_fl(fl, fh, u
 
 
 def triangle(fl, fh, up, down, mult):
-    """Pulse clocks of a preset move with six tenths of the pulses of a full trapezoid, R6 = R0 R5 / (R4 + R5)."""
+    """Return the pulse clocks of a preset move with six tenths of the pulses of a full trapezoid, R6 = R0 R5 / (R4 + R5)."""
     r0 = int(0.6 * (fh**2 - fl**2) * (up + down) / (16384 * mult))
     r6 = r0 * down // (up + down)
     if r0 < 20:

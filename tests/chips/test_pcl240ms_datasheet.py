@@ -44,7 +44,7 @@ WITH_LINEAR = [
 
 
 def over(cases, linear, count=6):
-    """A test for each of the cases and for random legal registers."""
+    """Parametrize a test by the cases and by random legal registers."""
     chosen = [pytest.param(random_registers(RNG, linear), id=f"random{n}") for n in range(count)]
     return pytest.mark.parametrize("r", [*cases, *chosen])
 
@@ -184,7 +184,7 @@ def started_late(r, r0, **settings):
 
 
 def linear_steps(waveforms, rate):
-    """Steps of the ramp-up that take rate / 2 clocks."""
+    """Return the steps of the ramp-up that take rate / 2 clocks."""
     clocks, speeds = waveforms.steps()
     rising = np.diff(clocks[: np.argmax(speeds) + 1])
     return int((abs(rising - rate / 2) <= 1).sum())
@@ -215,7 +215,7 @@ def assert_peak(r, r0, peak, **settings):
 
 
 def short_moves(least, maximum, count=8):
-    """Random pulse counts above `least` up to `most`, both ends among them."""
+    """Draw pulse counts above `least` and up to `maximum`, including both ends."""
     low, high = math.floor(least) + 1, math.floor(maximum)
     between = np.random.default_rng(SEED).integers(low, max(low, high) + 1, count)
     return [low, high, *(int(v) for v in between)] if low <= high else []
@@ -272,7 +272,7 @@ def test_no_fh_correction_when_bit_15_is_set_or_the_automatic_point_is_off(r):
 
 
 def at_fl(r, r6, r0, bits=0):
-    """Pulses at FL at the end of a preset move; None if it does not end at FL."""
+    """Return the pulses at FL at the end of a preset move; None if it does not end at FL."""
     waveforms = RecordedMove(started(r, r0, r6, control=PRESET, bits=bits))
     assert waveforms.pulses == r0
     assert waveforms.peak == r.R2

@@ -16,14 +16,14 @@ FL_PERIOD, FH_PERIOD = 8192 * 2 / 50, 8192 * 2 / 800
 
 
 def returning(make, start=0x15, count=0, bits=USES_EZ, control=0x41, **registers):
-    """An origin return under way, after a ramp where there is one."""
+    """Start an origin return, and let its ramp pass if it has one."""
     chip = begun(make, control, start, R13=bits | count << 16, **registers)
     chip.advance(30_000)
     return chip
 
 
 def edge(chip):
-    """One EZ pulse of some clocks; returns whether the chip operates after it."""
+    """Make one EZ pulse of some clocks, and return whether the chip still operates."""
     chip.pins.ez = True
     chip.advance(3)
     chip.pins.ez = False
@@ -43,7 +43,7 @@ def count(chip):
 
 
 def period(chip):
-    """Clocks from pulse to pulse, a mean."""
+    """Return the mean number of clocks from pulse to pulse."""
     return np.diff(chip.trace(20_000)["clock"]).mean()
 
 

@@ -30,7 +30,7 @@ def random_moves():
 
 
 def assert_ended(move):
-    """Makes a move; what every move must hold to."""
+    """Make a move, and assert what holds for every move."""
     outcome = run_move(move)
     print(f"{move}\n{outcome}, PULSESTAGE_SEED={SEED}")
     assert outcome.r0 == 0, "exactly at R0 = 0"

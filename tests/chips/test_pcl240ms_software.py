@@ -84,7 +84,7 @@ def as_written_for_an_mk(program, control=0):
 
 
 def life(make, program, **first):
-    """The pulses of a program, and all that can be seen when time has passed or a pin has changed."""
+    """Return the pulses of a program, and all that is visible after each wait and each pin change."""
     chip, observed = make(), []
     load(chip, **first)
     chip.write(0, 0x80)

@@ -40,7 +40,7 @@ def cut_everywhere(chip, clocks):
 
 
 def ends_after(chip, period, pulses, clocks):
-    """The run makes so many pulses, evenly, however it is cut, and none later."""
+    """Assert that a run makes so many evenly spaced pulses, however it is cut into pieces, and none later."""
     pulse_count = cut_everywhere(chip, clocks)
     assert pulse_count == [period * k for k in range(1, pulses + 1)]
     for n in (*pulse_count, clocks):
@@ -121,7 +121,7 @@ def test_a_drive_of_the_older_chips_ends_at_its_last_pulse(make, v):
 
 
 def cruising(make):
-    """A pulse every 16 clocks."""
+    """Start a drive with a pulse every 16 clocks."""
     chip = make()
     if make is MCX514:
         load(chip, SV=1_000_000, DV=1_000_000, TP=10)

@@ -25,7 +25,7 @@ def shares(*values):
 
 
 def rotor(motor, damping=0.0):
-    """The motor alone in MuJoCo: a rotor, and the actuator that a stage fits."""
+    """Make a MuJoCo model of the motor alone: a rotor, and the actuator that a stage fits."""
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="rotor")
     body.add_joint(name="x", type=mujoco.mjtJoint.mjJNT_HINGE, armature=motor.rotor_inertia, damping=damping)

@@ -51,7 +51,7 @@ def test_c_linked_with_cpp_is_compiled_as_c(board, tmp_path):
 
 
 def platform_program(name: str, suffix: str) -> dict[str, str]:
-    """A program of a platform, in C or C++, that calls a function in C."""
+    """Return a program of a platform, in C or C++, that calls a function in C."""
     platform = PLATFORMS[name]
     declares = "int count_c(int);" if suffix == "c" else 'extern "C" int count_c(int);'
     begins = BEGINS.get(platform.begins[0], "")

@@ -10,7 +10,7 @@ from stage.chips import CHIPS
 
 
 def list_pulses(chip, writes, clocks):
-    """Bus writes, then time; the pulses made, by clock from the first write on, axis and direction."""
+    """Make bus writes, let time pass, and list the pulses (clock from the first write on, axis, direction)."""
     host, start = host_of(type(chip)), chip.clock
     for address, value in writes:
         host.put(chip, address, value)

@@ -65,11 +65,11 @@ class Browser:
         return self.find(name).text
 
     def click(self, name):
-        """A real click, of the mouse, where the element is then to be seen."""
+        """Click an element with the mouse, where it is visible at that moment."""
         self.scroll_to(name).click()
 
     def scroll_to(self, name):
-        """The element, in the middle of the window, when it has come to rest there."""
+        """Scroll to an element, and return it when it has come to rest in the middle of the window."""
         self.until(lambda: self.find(name).is_displayed())
         before: list[dict] = []
 
@@ -83,7 +83,7 @@ class Browser:
 
     @contextmanager
     def press_and_hold(self, name):
-        """The mouse's button is down on the element for as long as the block lasts."""
+        """Press the mouse button on an element, and hold it during the `with` block."""
         from selenium.webdriver.common.action_chains import ActionChains
 
         ActionChains(self.driver).click_and_hold(self.scroll_to(name)).perform()
@@ -100,7 +100,7 @@ class Browser:
         return self.driver.execute_script(ERROR_AT, self.find(name))
 
     def curve(self, k):
-        """The points of a curve of the oscilloscope, as the browser draws it: [[x, y], ...]."""
+        """Return the points of a curve of the oscilloscope, as the browser draws it: [[x, y], ...]."""
         return self.driver.execute_script(CURVE, self.find("chart"), k)
 
     def lit(self, name):
@@ -129,7 +129,7 @@ class Browser:
         return next((o for o in options if o.text.split() == text.split()), None)
 
     def downloaded(self, ending):
-        """The bytes of a file that has come, whole; it is taken away."""
+        """Wait for a complete downloaded file, delete it, and return its bytes."""
         file = self.until(lambda: next(iter(self.downloads.glob(f"*.{ending}")), None))
         data = file.read_bytes()
         file.unlink()
@@ -155,7 +155,7 @@ class Browser:
         return float(self.text("time").removesuffix(" s"))
 
     def asked_for(self):
-        """The addresses that the page has asked for, from the browser's own log."""
+        """List the addresses that the page has requested, from the browser's own log."""
         import json
 
         entries = (json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance"))
@@ -218,7 +218,7 @@ class Bench:
         self.browser = Browser(self.panel.address)
 
     def fresh(self):
-        """The page as at first, and the stage at power-up, in real time."""
+        """Reset the page to its first state, and the stage to power-up, in real time."""
         for active in reversed(self.panel.fault_controls.in_force):
             self.panel.fault_controls.clear_fault(active)
         self.panel.fault_controls.set_payload(0.0)
@@ -228,7 +228,7 @@ class Bench:
 
     @contextmanager
     def slow_motion(self):
-        """A tenth of real time: a hand is in time for what moves, however busy the machine is."""
+        """Set the pace to a tenth of real time, so that input is in time for moving things even on a busy machine."""
         self.session.speed = 0.1
         try:
             yield

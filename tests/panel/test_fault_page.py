@@ -21,14 +21,14 @@ def fault_bench(bench):
 
 
 def press(bench, name, *keys):
-    """Keys to a slider, as somebody without a mouse has it."""
+    """Press keys on a slider, as a user without a mouse does."""
     slider = bench.browser.scroll_to(name)
     slider = slider.find_elements("css selector", "[tabindex='0']") or [slider]
     slider[0].send_keys(*keys)
 
 
 def break_it(bench, what, **choices):
-    """A fault, of what the page offers; its text in the list."""
+    """Make a fault that the page offers, and return its text in the list."""
     browser = bench.browser
     browser.choose("breaking", what)
     for name, value in choices.items():

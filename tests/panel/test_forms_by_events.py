@@ -69,7 +69,7 @@ def go(page, form, says="pulses"):
 
 
 def has_failed(page):
-    """The report is outcome as an error."""
+    """Return whether the report is shown as an error."""
     return "text-negative" in page.find("report").classes
 
 

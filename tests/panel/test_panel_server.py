@@ -26,7 +26,7 @@ from stage.panel.stage_scene import mesh_to_stl
 
 
 def requested(address, **headers):
-    """Status, headers and body of an answer."""
+    """Request an address, and return status, headers and body of the answer."""
     try:
         with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
             return answer.status, answer.headers, answer.read()

@@ -27,7 +27,7 @@ PULSESTAGE_MAIN {
 
 @contextmanager
 def commanded(*arguments):
-    """A command of the line with --panel; its process, and the link."""
+    """Start a command with --panel, and return its process and the link."""
     command = [sys.executable, "-m", "stage", *map(str, arguments), "--panel", "--panel-port", "0", "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:

@@ -33,7 +33,7 @@ MOVE = ((0, 0x08), (1, 50), (2, 2000), (4, 300), (5, 300), (7, 300), (0, 9000))
 
 
 def move(stage):
-    """A preset move under way, by bytes."""
+    """Start a preset move by bus cycles."""
     x = stage.axes["x"].chip
     x.write(0, 0x08)
     for register, value in MOVE[1:]:
@@ -53,7 +53,7 @@ class PausedPanel:
         self.panel = Panel(self.session, stage_options=options)
 
     def after(self, what):
-        """The state, when `what(stage)` has been done at once."""
+        """Call `what(stage)` at once, and return the state after it."""
         session = self.session
         return session.do(lambda stage: (session.run_unpaced(what, stage), stage.snapshot().state)[1])
 
@@ -149,7 +149,7 @@ def test_loads_and_faults_go_with_it(tmp_path):
 
 
 def played(text):
-    """The state at the end of a program in Python."""
+    """Run a program in Python, and return the state at its end."""
     names: dict = {"__name__": "a program"}
     exec(text, names)
     stage = Stage("xy", chips="pcl240ms")

@@ -391,7 +391,7 @@ def test_a_program_that_lets_time_pass_otherwise_waits_for_real_time():
 
 
 def assert_time_goes_on(session):
-    """Time passes from where it is at once, and in real time."""
+    """Assert that time continues from its present value at once, and in real time."""
     at = session.do(lambda stage: stage.time)
     begin = time.monotonic()
     session.paused = False

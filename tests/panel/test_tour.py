@@ -136,7 +136,7 @@ class Watched:
             self.tour.observe(self)
 
     def at(self, number):
-        """The tour waits for this step."""
+        """Assert that the tour waits for this step."""
         while self.tour.number < number:
             self.tour.skip()
         return self.tour

@@ -71,7 +71,7 @@ def make(name, **options):
 
 
 def draw_action(space, d):
-    """Drawn evenly, or at an end."""
+    """Draw an action evenly from a space, or from its ends."""
     if isinstance(space, gymnasium.spaces.Box):
         drawn = [
             d.choice(d.between(-1000, 1000) / 1000, d.between(-300, 300) / 1000)
@@ -85,7 +85,7 @@ def draw_action(space, d):
 
 
 def draw_bus_actions(env, d):
-    """Cycles of a driver that moves, and some at random."""
+    """Draw the bus cycles of a driver that makes a move, and some random ones."""
     chip = env.stage.chips[0]
     name = type(chip).__name__
     if name.startswith("PCL"):

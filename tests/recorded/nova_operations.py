@@ -33,7 +33,7 @@ class NovaOperations:
         self.write_command(name, self.axes if axes is None else axes)
 
     def write_word(self, n, value):
-        """WRn of the axes."""
+        """Write WRn of the selected axes."""
         self.write_command("NOP")
         self.write(n, value)
 
@@ -66,7 +66,7 @@ class NovaOperations:
                     self.ops.append(("read", n))
 
     def read_back(self):
-        """Some reading command."""
+        """Write a random reading command, and read the result."""
         reads = [c for c in self.map.commands if c.kind == "data read"]
         for _ in range(self.d.between(1, 3)):
             self.write_command(self.d.choice(*reads).symbol, axes=self.d.choice(self.axes, self.axes, 0))
@@ -131,7 +131,7 @@ class NovaOperations:
         self.write_command(self.d.choice(*(("DRVSBRK", "DRVFBRK") if self.is_mcx514 else ("STOP_DEC", "STOP_SUDDEN"))))
 
     def load_counters(self):
-        """LP and the like near where something happens."""
+        """Load LP and other counters with values near those at which something happens."""
         d = self.d
         near = [d.between(-60, 60) for _ in range(4)]
         self.load("LP", d.choice(0, d.between(-50, 50), d.between(-50, 50), 0x7FFFFFF0, 0x80000005))
@@ -211,7 +211,7 @@ class NovaOperations:
         )  # fmt: skip
 
     def turn_encoder(self):
-        """Some edges of the encoder, mostly one way."""
+        """Make some edges of the encoder, mostly in one direction."""
         a = b = False
         for _ in range(self.d.between(2, 12)):
             if self.d.chance(0.8):
@@ -241,7 +241,7 @@ class NovaOperations:
             self.let_run(100, 400_000)
 
     def draw_long(self):
-        """A single drive of many pulses, whole ramps, any legal values."""
+        """Draw a single drive of many pulses with complete ramps and any legal values."""
         d = self.d
         self.write_word(3, d.choice(0, 4, 6, 2, 1, 5))
         self.load_speeds(fast=True)
@@ -293,7 +293,7 @@ class NovaOperations:
             self.let_run(1000, 200_000)
 
     def draw_chaos(self):
-        """Any command with any number, any word, any pin."""
+        """Draw any command with any number, any word, or any pin."""
         d = self.d
         self.load_speeds()
         self.set_modes()

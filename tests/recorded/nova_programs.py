@@ -11,7 +11,7 @@ class NovaPrograms(NovaOperations):
     # --- MCX514 ---
 
     def draw_ports(self):
-        """PIO as inputs, outputs, status, comparisons; general outputs."""
+        """Draw functions of the PIO pins (inputs, outputs, status, comparisons) and general outputs."""
         d = self.d
         self.load("P1M", d.choice(0, 0x5555, 0xAAAA, 0xFFFF, d.bits(0.5)))
         self.write(4, d.bits(0.5))
@@ -31,7 +31,7 @@ class NovaPrograms(NovaOperations):
         return f"pio{k}" if self.is_mcx514 else ("exp_plus", "exp_minus")[k & 1]
 
     def set_comparisons(self):
-        """Comparisons of all kinds, near where they come true."""
+        """Set comparisons of all kinds, near the values at which they become true."""
         d = self.d
         self.load("MRM", d.choice(d.bits(0.5), 0, 0x8888, 0x2222, 0x3B3B))
         self.load_counters()
@@ -122,7 +122,7 @@ class NovaPrograms(NovaOperations):
             )
 
     def draw_filter(self):
-        """Inputs shorter and longer than their filters."""
+        """Draw input pulses that are shorter and longer than their filters."""
         d = self.d
         if self.is_mcx514:
             self.load("FLM", d.choice(0x00FF | d.bits(0.2), d.bits(0.5), 0x02FE, 0x11FF))
@@ -156,7 +156,7 @@ class NovaPrograms(NovaOperations):
                 self.turn_encoder()
 
     def draw_rings(self):
-        """Ring counters, software limits, counters that turn over."""
+        """Draw ring counters, software limits, and counters that wrap."""
         d = self.d
         self.load_speeds(fast=True)
         if self.is_mcx514:
@@ -183,7 +183,7 @@ class NovaPrograms(NovaOperations):
     # --- interpolation ---
 
     def add_segment(self):
-        """One segment of the MCX514."""
+        """Add one segment of the MCX514."""
         d = self.d
         max_distance = d.choice(6, 30, 200)
         axes = [1 << j for j in range(4)]

@@ -168,7 +168,7 @@ class Pcl240Programs:
             self.add_reads()
 
     def draw_wide(self):
-        """Any legal values, long."""
+        """Draw a long program with any legal values."""
         d = self.d
         for n, top in TOP.items():
             self.write_register(n, d.size(1, top))

@@ -35,7 +35,7 @@ def recording_of(model=None, **axes):
 
 
 def views(part):
-    """The views of a blueprint by name, in order."""
+    """List the views of a blueprint by name, in order."""
     result = {}
     for inner in part.contents:
         if isinstance(getattr(inner, "contents", None), tuple | list) and type(inner).__name__ in (

@@ -154,7 +154,7 @@ def test_an_error_inside_the_block_closes_the_recording():
 
 
 def last_time(path):
-    """Seconds, of anything in a rerun file."""
+    """Return the last time of any entity in a rerun file, s."""
     series = (times for entity in read_rrd(path).values() for times, _ in entity.values())
     return max(times.max() for times in series if times is not None) * 1e-9
 

@@ -39,7 +39,7 @@ def served(rrd):
 
 
 def requested(server, path, host, method="GET"):
-    """The answer to a browser that takes the server for `host`: status, headers, content."""
+    """Request a path as a browser that takes the server for `host`, and return status, headers and content."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
     with contextlib.closing(connection):
         connection.putrequest(method, path, skip_host=True)

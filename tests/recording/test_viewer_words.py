@@ -192,7 +192,7 @@ def serving(rrd):
 
 
 def requested(server, path, host=None, method="GET"):
-    """Status, headers, and all bytes behind them until the server closes."""
+    """Request a path, and return status, headers, and all bytes until the server closes the connection."""
     with socket.create_connection(("127.0.0.1", server.server_port), timeout=10) as wire:
         wire.sendall(f"{method} {path} HTTP/1.0\r\nHost: {host or f'localhost:{server.server_port}'}\r\n\r\n".encode())
         message = b"".join(iter(lambda: wire.recv(4096), b""))

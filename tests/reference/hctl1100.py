@@ -79,7 +79,7 @@ class ReferenceHCTL1100:
         self.obey_sync()
 
     def forget(self):
-        """The filter and the profile generator begin anew."""
+        """Reset the filter and the profile generator."""
         self.x_before = self.mc_before = 0
         self.velocity = self.fraction = 0
         self.computed_until = 0
@@ -361,7 +361,7 @@ class ReferenceHCTL1100:
         return self.look(address)
 
     def look(self, address):
-        """As read, and nothing is latched."""
+        """Return what a read would return, without latching anything."""
         if address == 0x00:
             return sum(1 << k for k, on in self.flags.items() if on) + (2 if self.mode == "idle" else 0)
         if address == 0x07:

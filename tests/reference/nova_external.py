@@ -48,7 +48,7 @@ class External:
         self._drive(clock)
 
     def _drive(self, clock):
-        """The pulses up to this clock."""
+        """Make the pulses up to this clock."""
         while self.way and self.begin + self.period <= clock:
             self.begin += self.period
             self.made.append((self.begin, self.way))

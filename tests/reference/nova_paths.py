@@ -36,7 +36,7 @@ def circle_errors(course, centre):
 
 
 def angles(course, centre, clockwise):
-    """Angle turned about the centre up to each point, in rad, rising along the arc; goes on beyond a turn."""
+    """Return the angle about the center up to each point, rad, rising along the arc, also beyond a full turn."""
     turned, last, total = [], atan2(-centre[1], -centre[0]), 0.0
     for x, y, *_ in course:
         now = atan2(y - centre[1], x - centre[0])
@@ -47,7 +47,7 @@ def angles(course, centre, clockwise):
 
 
 def arc_angle(centre, finish, clockwise):
-    """Angle of the ideal arc, in rad, 0 < angle <= a turn."""
+    """Return the angle of the ideal arc, rad, more than 0 and at most a full turn."""
     begin = atan2(-centre[1], -centre[0])
     angle = atan2(finish[1] - centre[1], finish[0] - centre[0]) - begin
     angle = (-angle if clockwise else angle) % tau
@@ -77,13 +77,13 @@ def line_ticks(finish):
 
 
 def _nearest(numerator, denominator):
-    """The nearest whole number, a half away from zero."""
+    """Round a fraction to the nearest integer, halves away from zero."""
     sign = -1 if numerator < 0 else 1
     return sign * ((2 * abs(numerator) + denominator) // (2 * denominator))
 
 
 def octant_ahead(x, y, clockwise=False):
-    """The octant that a move from this point about the origin runs in, 0 .. 7 counter-clockwise from +X."""
+    """Return the octant in which a move from this point about the origin runs, 0 to 7 counter-clockwise from +X."""
     turned = [(x, y), (y, -x), (-x, -y), (-y, x)]
     for quarter, (u, v) in enumerate(turned):  # turned back until it lies in the first quarter, its far border excluded
         if u > 0 and v >= 0:
@@ -93,7 +93,7 @@ def octant_ahead(x, y, clockwise=False):
 
 
 def octant_behind(x, y, clockwise=False):
-    """The octant that a move to this point comes from."""
+    """Return the octant from which a move to this point comes, 0 to 7 counter-clockwise from +X."""
     return octant_ahead(x, y, not clockwise)
 
 

@@ -49,7 +49,7 @@ class Piece(NamedTuple):
         return "accelerating" if slope > 0 else "decelerating" if slope < 0 else "constant"
 
     def times_of(self, positions):
-        """Seconds into the piece at which it is at each of some rising positions, in fixed point by Newton's method."""
+        """Compute the times in the piece, s, at which it reaches some rising positions, in fixed point by Newton's method."""
         v, a, jerk = fixed(self.v), fixed(self.a / 2), fixed(self.jerk / 6)
         tau = 0.0
         for position in positions:
@@ -81,7 +81,7 @@ def fixed(value):
 
 
 def number(value):
-    """Ints and fractions as they are, not by way of a float."""
+    """Convert ints and fractions exactly, not by way of a float."""
     return mp.mpf(value.numerator) / value.denominator if isinstance(value, Fraction) else mp.mpf(value)
 
 
@@ -237,7 +237,7 @@ class Drive:
         return self._change(v, a, self.SV)
 
     def _rest(self, v, a, side):
-        """The speed that is left when the acceleration has gone to 0."""
+        """Return the speed that remains when the acceleration has gone to 0."""
         return v + a * abs(a) / (2 * self.jerk[side]) if a else v
 
     def _to_zero(self, a, side):
@@ -275,7 +275,7 @@ class Drive:
     # What it shows
 
     def times_of(self, positions):
-        """Exact clocks (not yet whole) at which rising positions are reached."""
+        """Compute the exact, fractional clocks at which rising positions are reached."""
         times, left = [], list(positions)
         for piece in self.pieces:
             reach = mp.inf if piece.length == mp.inf else piece.position(piece.length) + DUST
@@ -286,7 +286,11 @@ class Drive:
         return times
 
     def pulse_times(self, until=None):
-        """Exact clocks at which the pulses are due. `until`: clock, needed where a drive has no end."""
+        """Compute the exact, fractional clocks at which the pulses are due.
+
+        Args:
+            until: Last clock, necessary for a drive without an end.
+        """
         if until not in self._times:
             self._times[until] = self._pulse_times(until)
         return self._times[until]
@@ -300,7 +304,7 @@ class Drive:
         return self.times_of(range(1, count + 1))
 
     def pulse_clocks(self, until=None):
-        """Clocks at which the pulses begin."""
+        """Compute the clocks at which the pulses begin."""
         return [ceil_clock(t) for t in self.pulse_times(until)]
 
     @property
@@ -309,7 +313,7 @@ class Drive:
         return None if self.end is None else ceil_clock(self.end * SECOND)
 
     def _at(self, t):
-        """The piece at a time, and how far into it."""
+        """Return the piece at a time, and the time since its beginning."""
         for piece in self.pieces:
             if t <= piece.t + piece.length:
                 return piece, max(t - piece.t, mp.mpf(0))
@@ -322,7 +326,7 @@ class Drive:
         return self.end is not None and clock >= self.end_clock
 
     def speed(self, clock):
-        """pps; 0 behind the end."""
+        """Return the speed at a clock, pps; 0 after the end."""
         piece, tau = self._of(clock)
         return mp.mpf(0) if self._over(clock) else piece.speed(tau)
 
