@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from stage.board.pin_assignment import PinLine, WiringFinding
 
 ABI = 1
-SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
+SOURCES = (".c", ".cc", ".cpp", ".cxx", *platforms.SKETCHES)
 ENTRY = "pulsestage_main"
 NO_LIMIT = (1 << 63) - 1  # basic blocks between two requests of a meter
 BIND_FLAGS = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
@@ -106,6 +106,7 @@ def build(
     flags: Sequence[str] = (),
     platform: str | None = None,
     metered: bool = False,
+    libraries: Sequence[str | os.PathLike] = (),
 ) -> Path:
     """Build a firmware library from C or C++ sources.
 
@@ -118,6 +119,7 @@ def build(
         flags: Flags for the compiler, after -O2 -g and the sources, so that libraries can be among them.
         platform: Platform for which the sources were written, see stage.board.platforms.
         metered: Whether the library counts its basic blocks, for NativeHost(cost=...).
+        libraries: Folders of Arduino libraries that a sketch uses.
 
     Returns:
         The path of the library.
@@ -140,7 +142,7 @@ def build(
             f"output {os.fspath(output)}: a library is written there, and this is the name of a source. Several sources are one "
             "list: build([a, b]); the output ends in .so."
         )
-    target = platforms.platform_of(platform, files)
+    target = platforms.platform_of(platform, files, libraries)
     files = platforms.add_sketch_files(files)
     library = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
     with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
@@ -149,7 +151,7 @@ def build(
             _compile(METER, [*find_compiler().split(), "-c", "-fPIC", "-O2", f"-I{include()}", str(METER), "-o", meter])
             flags = ("-fsanitize-coverage=trace-pc", meter, *flags)
         recipe = platforms.make_recipe(
-            target, files, Path(folder), lambda source, more: _needs_cplusplus(source, more, flags, folder)
+            target, files, Path(folder), lambda source, more: _needs_cplusplus(source, more, flags, folder), flags
         )
         common = ["-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}"]
         messages, objects = [], []
@@ -280,6 +282,7 @@ def find_library(
     platform: str | None = None,
     folder: Path | None = None,
     metered: bool = False,
+    libraries: Sequence[str | os.PathLike] = (),
 ) -> Path:
     """Return the library that `firmware` names, or build it from sources.
 
@@ -289,6 +292,7 @@ def find_library(
         platform: Platform for which the sources were written.
         folder: Folder in which the library is built.
         metered: Whether the library counts its basic blocks.
+        libraries: Folders of Arduino libraries that a sketch uses.
 
     Raises:
         ArgumentError: There is more than one library, or a platform for a library; other errors are those of `build` and
@@ -297,7 +301,12 @@ def find_library(
     firmware_files = _list_files(firmware)
     if are_sources(firmware_files):
         output = folder / f"{Path(firmware_files[0]).stem}.so" if folder else None
-        return check_library(build(firmware_files, output, flags, platform=platform, metered=metered))
+        return check_library(build(firmware_files, output, flags, platform, metered, libraries))
+    if libraries:
+        raise ArgumentError(
+            f"library {os.fspath(libraries[0])}: it is compiled with the sources of a sketch, and {firmware_files[0]} is built "
+            "already. Give the sketch in its place."
+        )
     if platform is not None:
         raise ArgumentError(
             f"platform={platform!r}: it says how sources are built, and {firmware_files[0]} is built already."

@@ -320,6 +320,7 @@ class NativeHost(Host):
             False is for debuggers: the firmware is loaded into this process, and its effects happen to this process.
         flags: Flags for the compiler.
         platform: Platform for which the sources were written (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
+        libraries: Folders of Arduino libraries that a sketch uses, see docs/step_dir.md.
         patience: Seconds of real time that the firmware may compute without a bus cycle.
         map: Windows of memory-mapped registers, see stage.board.memory_mapped_ports: one, or a sequence.
         cost: Simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md. Sources are
@@ -340,6 +341,7 @@ class NativeHost(Host):
         isolated: bool = os.name == "posix",
         flags: tuple[str, ...] = (),
         platform: str | None = None,
+        libraries: Sequence[str | os.PathLike] = (),
         patience: float = PATIENCE_S,
         map: memory_mapped_ports.Windows = (),
         cost: float = 0.0,
@@ -356,7 +358,7 @@ class NativeHost(Host):
             TemporaryFolder() if firmware_library.are_sources(firmware) else None
         )  # what is built goes with the host
         folder = self._scratch.path if self._scratch else None
-        path = firmware_library.find_library(firmware, flags, platform, folder, metered=cost > 0)
+        path = firmware_library.find_library(firmware, flags, platform, folder, cost > 0, libraries)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12), lines), board, isolated, patience)
         board.serial.record["is_wired"] = 1
 

@@ -40,10 +40,11 @@ def add(commands: Any) -> None:
         ("stage run driver.c --chips pcl240mk", "build a driver and run it against the chips"),
         ("stage run driver.c --trace - --vcd bus.vcd", "print the bus cycles, and write them as waveforms"),
         ("stage run mill.ino --for 2 --chips hctl1100", "run an Arduino sketch for 2 simulated seconds"),
+        ("stage run x.ino --library AccelStepper --for 2 --chips stepdir --pins cnc-shield-v3", "run a sketch with a library"),
     )  # fmt: skip
     p.add_argument(
         "firmware", nargs="+", metavar="FIRMWARE",
-        help="driver.so, or C or C++ sources, or a sketch (.ino); docs/firmware_in_the_loop.md",
+        help="driver.so, or C or C++ sources, or a sketch (.ino, .pde); docs/firmware_in_the_loop.md",
     )  # fmt: skip
     _add_target_options(p)
     g = p.add_argument_group("firmware")
@@ -52,6 +53,10 @@ def add(commands: Any) -> None:
         "--platform",
         help="platform of the sources: arduino (a .ino always is), avr, vxworks, dos, freertos; docs/porting.md",
     )
+    g.add_argument(
+        "--library", action="append", default=[], metavar="DIR",
+        help="folder of an Arduino library that the sketch uses, once for each; docs/step_dir.md",
+    )  # fmt: skip
     g.add_argument(
         "--timeout",
         type=TIME,
@@ -187,7 +192,7 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any
     serial_options.write_serial_log(args, host)
     if error is not None:
         print(f"stage: {error}", file=sys.stderr)
-        if isinstance(error, HostTimeout) and any(str(file).endswith(".ino") for file in args.firmware):
+        if isinstance(error, HostTimeout) and any(str(file).endswith((".ino", ".pde")) for file in args.firmware):
             print("A sketch never returns: --for 2 runs it for 2 s.", file=sys.stderr)
         return 1
     done = result is None or result.code == 0
@@ -274,13 +279,15 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
                     f"{name}: only programs of other processors have it. Name the processor with --mcu."
                 )
         return NativeHost(
-            args.firmware, board, isolated=isolated, flags=flags, platform=args.platform, patience=args.patience, map=args.map,
-            cost=args.cost, pins=args.pins,
+            args.firmware, board, isolated=isolated, flags=flags, platform=args.platform, libraries=args.library,
+            patience=args.patience, map=args.map, cost=args.cost, pins=args.pins,
         )  # fmt: skip
     from stage.targets import TargetHost
 
-    if len(args.firmware) > 1 or flags or args.platform or args.cost:
-        raise ArgumentError("--mcu: give one program that is already built, without --cflags, --platform and --cost.")
+    if len(args.firmware) > 1 or flags or args.platform or args.library or args.cost:
+        raise ArgumentError(
+            "--mcu: give one program that is already built, without --cflags, --platform, --library and --cost."
+        )
     return TargetHost(
         args.firmware[0], board, mcu=args.mcu, map=args.map, pins=args.pins, mcu_clock=args.mcu_clock, gdb=args.gdb,
         isolated=isolated, patience=args.patience,

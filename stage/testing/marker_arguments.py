@@ -18,7 +18,18 @@ from stage.support.files import FileError
 
 STAGE_ARGUMENTS = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")
 BOARD_ARGUMENTS = ("layout", "base", "stride", "keep_cycles", "devices")
-FIRMWARE_ARGUMENTS = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "pins", "mcu_clock")
+FIRMWARE_ARGUMENTS = (
+    "flags",
+    "platform",
+    "libraries",
+    "isolated",
+    "patience",
+    "cost",
+    "mcu",
+    "map",
+    "pins",
+    "mcu_clock",
+)
 
 
 def read_setting(config: pytest.Config, name: str) -> str:
@@ -64,7 +75,7 @@ def read_board_arguments(node: pytest.Item) -> dict[str, Any]:
 
 
 def read_firmware_arguments(node: pytest.Item) -> dict[str, Any]:
-    """Return `sources` (paths), `flags` (a tuple), `platform`, and the arguments of NativeHost.
+    """Return `sources` (paths), `flags` (a tuple), `platform`, `libraries` (paths), and the arguments of NativeHost.
 
     Raises:
         ArgumentError: No firmware is named, or an argument does not exist.
@@ -83,6 +94,7 @@ def read_firmware_arguments(node: pytest.Item) -> dict[str, Any]:
     arguments["sources"] = [find_file(node, source, "firmware") for source in arguments["sources"]]
     arguments.setdefault("isolated", os.name == "posix" and read_setting(node.config, "firmware") != "in-process")
     arguments.setdefault("platform", None)
+    arguments["libraries"] = [find_file(node, folder, "library") for folder in arguments.get("libraries", ())]
     flags = arguments.get("flags", ())
     arguments["flags"] = tuple(shlex.split(flags) if isinstance(flags, str) else flags)
     return arguments
@@ -103,7 +115,7 @@ def find_file(node: pytest.Item, name: Any, what: str) -> Path:
         raise ArgumentError(f"{what} {name!r}: a path in quotes is wanted.")
     folders = list(dict.fromkeys((node.path.parent, node.config.rootpath)))
     for folder in folders:
-        if (folder / name).is_file():
+        if (folder / name).is_dir() if what == "library" else (folder / name).is_file():
             return (folder / name).resolve()
     raise FileError(f"{what} {str(name)!r}: there is no such file, from {' or '.join(map(str, folders))}.")
 

@@ -25,8 +25,8 @@ MARKERS = (
     "model(name): the model of its stage, as stage(model=name)",
     "chips(name) or chips(x=name, y=name): the chips of its stage, as stage(chips=...)",
     "board(layout=None, base=None, stride=None, keep_cycles=100000, devices=()): the chips on the host's bus, and devices",
-    "firmware(*sources, flags=(), platform=None, isolated=True, patience=20.0, cost=0.0, mcu=None, map=(), pins=(), "
-    "mcu_clock=None): C or C++ sources, a library, or a program of another processor, for the fixture `host`",
+    "firmware(*sources, flags=(), platform=None, libraries=(), isolated=True, patience=20.0, cost=0.0, mcu=None, map=(), "
+    "pins=(), mcu_clock=None): C or C++ sources, a library, or a program of another processor, for the fixture `host`",
 )
 OPTIONS = {
     "output": (None, "folder for what failed tests leave: recording, waveforms, bus trace (default: .pulsestage)"),

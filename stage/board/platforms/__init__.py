@@ -7,12 +7,18 @@ functions its interrupt line. A program is given its entry, see `entry.c` there,
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from stage.board.platforms.arduino_sketch import SKETCH, list_sketch_files, translate_sketch
+from stage.board.platforms.arduino_library import (
+    ArduinoLibrary,
+    read_arduino_library,
+    suggest_dependencies,
+)
+from stage.board.platforms.arduino_sketch import SKETCHES, list_sketch_files, translate_sketch
 from stage.errors import ArgumentError, unknown_name_error
 
 FOLDER = Path(__file__).parent
@@ -39,6 +45,7 @@ class Platform:
         sources: Sources that are compiled with each program.
         defaults: A folder of headers for programs that do not have them.
         external: A header of the system itself, and what to do where it is missing.
+        libraries: Libraries that are compiled with the program.
     """
 
     name: str
@@ -51,13 +58,16 @@ class Platform:
     sources: tuple[str, ...] = ()
     defaults: str = ""
     external: tuple[str, str] = ("", "")
+    libraries: tuple[ArduinoLibrary, ...] = ()
 
 
 PLATFORMS: dict[str, Platform] = {
     p.name: p
     for p in (
         Platform("arduino", "an Arduino sketch: setup and loop, pins, Serial", ("setup", "loop"), "arduino/entry.cpp",
-                 ("arduino", "avr"), has_cplusplus_headers=True, flags=("-DPULSESTAGE_ARDUINO", "-DARDUINO=10819")),
+                 ("arduino", "avr"), has_cplusplus_headers=True, flags=(
+                     "-DPULSESTAGE_ARDUINO", "-DARDUINO=10819", "-DF_CPU=16000000L", "-DARDUINO_ARCH_AVR", "-DARDUINO_AVR_UNO",
+                 )),
         Platform("avr", "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h", ("main",), "avr/entry.cpp", ("avr",),
                  has_cplusplus_headers=True),
         Platform("vxworks", "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib", ("usrAppInit",), "vxworks/entry.c",
@@ -94,16 +104,28 @@ class Recipe:
     is_like_c: bool = False
 
 
-def platform_of(name: str | None, sources: Sequence[Path]) -> Platform | None:
-    """Return the platform of that name, or that of a sketch; None for sources of none. Raises ArgumentError."""
-    sketches = [source for source in sources if source.suffix == SKETCH]
+def platform_of(
+    name: str | None, sources: Sequence[Path], folders: Sequence[str | os.PathLike] = ()
+) -> Platform | None:
+    """Return the platform of that name, or that of a sketch, with the Arduino libraries of these folders; None for sources of none.
+
+    Raises:
+        ArgumentError: There is no such platform, or a sketch or a library is of another one.
+        FileError: There is no such folder.
+    """
+    libraries = tuple(map(read_arduino_library, folders))
+    sketches = [source for source in sources if source.suffix in SKETCHES]
     if name is None:
-        return PLATFORMS["arduino"] if sketches else None
+        if not (sketches or libraries):
+            return None
+        name = "arduino"
     if name not in PLATFORMS:
         raise unknown_name_error("platform", name, PLATFORMS)
     if sketches and name != "arduino":
         raise ArgumentError(f"{sketches[0].name}: a sketch is of the platform arduino, not {name}.")
-    return PLATFORMS[name]
+    if libraries and name != "arduino":
+        raise ArgumentError(f"library {libraries[0].name}: a library is of the platform arduino, not {name}.")
+    return replace(PLATFORMS[name], libraries=libraries)
 
 
 def add_sketch_files(sources: Sequence[Path]) -> list[Path]:
@@ -116,6 +138,7 @@ def make_recipe(
     sources: Sequence[Path],
     folder: Path,
     needs_cplusplus: Callable[[Path, Sequence[str]], bool] = lambda source, flags: False,
+    user_flags: Sequence[str] = (),
 ) -> Recipe:
     """Choose how sources are compiled: C as C, unless it includes headers of its platform that are C++ here.
 
@@ -124,6 +147,7 @@ def make_recipe(
         sources: In C, C++, or sketches.
         folder: Where translated sketches are written, and C++ that includes sources in C.
         needs_cplusplus: Whether a source in C includes such headers, with these flags.
+        user_flags: Flags of the user, whose definitions take the place of the platform's.
 
     Raises:
         ArgumentError: The function is missing that the program begins with.
@@ -131,10 +155,14 @@ def make_recipe(
     if platform is None:
         return _split_languages(sources)
     texts = {source: source.read_text(**ENCODING) for source in sources}
-    sketches = [source for source in sources if source.suffix == SKETCH]
-    files = [source for source in sources if source.suffix != SKETCH]
-    flags = [*platform.flags, *(f"-I{FOLDER / name}" for name in platform.folders)]
+    sketches = [source for source in sources if source.suffix in SKETCHES]
+    files = [source for source in sources if source.suffix not in SKETCHES]
+    flags = [*_replace_definitions(platform.flags, user_flags), *(f"-I{FOLDER / name}" for name in platform.folders)]
     flags += ["-idirafter", str(FOLDER / platform.defaults)] if platform.defaults else []
+    flags += [f"-I{path}" for library in platform.libraries for path in library.include_folders]
+    if platform.name == "arduino":  # a file of the package would be Arduino.h itself where names have no case
+        (folder / "arduino.h").write_text("#include <Arduino.h>\n", encoding="utf-8")
+        flags += ["-idirafter", str(folder)]
     if sketches:
         sketch = folder / f"{sketches[0].stem}.ino.cpp"
         sketch.write_text(translate_sketch({source: texts[source] for source in sketches}), **ENCODING)
@@ -152,6 +180,7 @@ def make_recipe(
         if re.search(r"^[^\S\n]*void[^\S\n]+(?:main|usrAppInit)[^\S\n]*\(", text, re.M):
             flags.append("-DPULSESTAGE_VOID_MAIN")
     files += [FOLDER / name for name in platform.sources]
+    files += [file for library in platform.libraries for file in library.sources]
     if not platform.has_cplusplus_headers:
         return _split_languages(files, flags)
     is_like_c = [file.suffix == ".c" and needs_cplusplus(file, flags) for file in files]
@@ -159,6 +188,14 @@ def make_recipe(
         _include_c(file, folder / f"{k}-{file.name}{WRAPPER}") if is_like_c[k] else file for k, file in enumerate(files)
     ]
     return replace(_split_languages(files, flags), cplusplus_flags=("-fpermissive",), is_like_c=any(is_like_c))
+
+
+def _replace_definitions(flags: Sequence[str], user_flags: Sequence[str]) -> list[str]:
+    """Leave out the definitions of a platform that the user's flags make, and its board if they name another."""
+    names = {flag[2:].partition("=")[0] for flag in user_flags if flag[:2] in ("-D", "-U")}
+    if any(name.startswith("ARDUINO_AVR_") for name in names):
+        names.add("ARDUINO_AVR_UNO")
+    return [flag for flag in flags if not (flag.startswith("-D") and flag[2:].partition("=")[0] in names)]
 
 
 def _split_languages(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
@@ -189,6 +226,8 @@ def suggest_platform(platform: Platform | None, message: str) -> str:
     header = missing[1]
     if platform is not None and header == platform.external[0]:
         return f"\n{header}: {platform.external[1]}."
+    if platform is not None and (dependencies := suggest_dependencies(platform.libraries)):
+        return dependencies
     if platform is not None:
         return f"\n{header} is not among what is emulated of the platform {platform.name}: docs/porting.md."
     names = [p.name for p in PLATFORMS.values() if any((FOLDER / folder / header).is_file() for folder in p.folders)]

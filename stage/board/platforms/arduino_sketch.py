@@ -6,8 +6,9 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-SKETCH = ".ino"
-_SOURCES = (SKETCH, ".c", ".cc", ".cpp", ".cxx")
+SKETCHES = (".ino", ".pde")
+"""Endings of sketches; the second is that of the first versions of Arduino."""
+_SOURCES = (*SKETCHES, ".c", ".cc", ".cpp", ".cxx")
 _HIDDEN = re.compile(
     r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'|^[^\S\n]*#(?:\\\n|[^\n])*", re.S | re.M
 )
@@ -18,10 +19,10 @@ _NO_TYPE = ("else", "return", "do", "new", "throw", "goto", "case")
 
 def list_sketch_files(source: Path) -> list[Path]:
     """Return a source; with it, for a sketch in a folder of its own name, the other sources of that folder, behind the sketch."""
-    if source.suffix != SKETCH or source.resolve().parent.name != source.stem:
+    if source.suffix not in SKETCHES or source.resolve().parent.name != source.stem:
         return [source]
     others = sorted(f for f in source.parent.iterdir() if f.suffix in _SOURCES and f.name != source.name)
-    return [source, *(f for f in others if f.suffix == SKETCH), *(f for f in others if f.suffix != SKETCH)]
+    return [source, *sorted(others, key=lambda file: file.suffix not in SKETCHES)]
 
 
 def translate_sketch(sketches: Mapping[Path, str]) -> str:

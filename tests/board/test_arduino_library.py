@@ -1,0 +1,118 @@
+"""A sketch takes an Arduino library by its folder, as the Arduino tools do."""
+
+from pathlib import Path
+
+import pytest
+
+from stage import Stage
+from stage.board import Board, CompileError, NativeHost
+from stage.board.platforms.arduino_library import read_arduino_library
+from stage.cli import main
+from stage.errors import ArgumentError
+from stage.support.files import FileError
+
+HEADER = """\
+#include <Arduino.h>
+class Blinker {
+  public:
+    explicit Blinker(int pin) : pin_(pin) {}
+    void blink(int times);
+  private:
+    int pin_;
+};
+"""
+SOURCE = """\
+#include "Blinker.h"
+#include "detail/timing.h"
+#if !defined(ARDUINO) || ARDUINO < 10800 || !defined(ARDUINO_ARCH_AVR) || F_CPU != 16000000
+#error "the command line does not say which board it is"
+#endif
+void Blinker::blink(int times)
+{
+    pinMode(pin_, OUTPUT);
+    for (int k = 0; k < times; k++) {
+        digitalWrite(pin_, HIGH);
+        delay(half_period_ms());
+        digitalWrite(pin_, LOW);
+        delay(half_period_ms());
+    }
+}
+"""
+SKETCH = """\
+#include <Blinker.h>
+Blinker blinker(2);
+void setup() { blinker.blink(7); }
+void loop() {}
+"""
+
+
+def make_board() -> Board:
+    return Board(Stage("xy", visuals=False))
+
+
+def write_library(folder: Path, detail: str = "src/detail") -> Path:
+    """Write a library whose sources are in C++ and in C; `detail` is where its inner files are."""
+    base = folder / detail.partition("/")[0] if "/" in detail else folder
+    (folder / detail).mkdir(parents=True)
+    (folder / "library.properties").write_text("name=Blinker\nversion=1.0\narchitectures=*\n")
+    (base / "Blinker.h").write_text(HEADER)
+    (base / "Blinker.cpp").write_text(SOURCE.replace("detail/", "" if base == folder else "detail/"))
+    (folder / detail / "timing.h").write_text('extern "C" int half_period_ms(void);\n')
+    (folder / detail / "timing.c").write_text(
+        "#ifndef ARDUINO_AVR_UNO\n#error\n#endif\nint half_period_ms(void) { int class = 5; return class; }\n"
+    )
+    (folder / "extras").mkdir()
+    (folder / "extras" / "test.cpp").write_text("#error this is not compiled\n")
+    return folder
+
+
+@pytest.mark.parametrize("detail", ["src/detail", "utility"])
+@pytest.mark.parametrize("ending", [".ino", ".pde"])
+def test_a_library_is_compiled_from_its_folder_in_both_layouts(detail, ending, tmp_path):
+    library = write_library(tmp_path / "Blinker", detail)
+    (tmp_path / f"blink{ending}").write_text(SKETCH)
+    stage = Stage("xyz", chips="stepdir", drives="a4988", visuals=False)
+    with NativeHost(tmp_path / f"blink{ending}", Board(stage), libraries=[library], pins="x.step=2,x.dir=5") as host:
+        host.run_for(0.1)
+    assert stage.axes["x"].commanded == pytest.approx(7 / 3.2e5), "7 steps of 16 to the full step, on a screw of 10 mm"
+
+
+def test_the_command_takes_a_library(tmp_path, capsys):
+    library = write_library(tmp_path / "Blinker")
+    (tmp_path / "blink.ino").write_text(SKETCH)
+    command = ["run", str(tmp_path / "blink.ino"), "--library", str(library), "--for", "0.1", "--chips", "stepdir"]
+    assert main([*command, "--pins", "x.step=2,x.dir=5"]) == 0
+    assert "blink.so ran for 0.1 s" in capsys.readouterr().out
+
+
+def test_flags_of_the_user_choose_another_board_and_clock(tmp_path):
+    (tmp_path / "board.ino").write_text(
+        "#if defined(ARDUINO_AVR_UNO) || !defined(ARDUINO_AVR_MEGA2560) || F_CPU != 8000000\n#error\n#endif\n"
+        "#include <arduino.h>\nvoid setup() { pulsestage::end(NUM_DIGITAL_PINS); }\nvoid loop() {}\n"
+    )
+    flags = ("-DARDUINO_AVR_MEGA2560", "-DF_CPU=8000000L", "-Werror")
+    with NativeHost(tmp_path / "board.ino", make_board(), flags=flags) as host:
+        assert host.run().code == 70
+
+
+def test_a_missing_dependency_is_named(tmp_path):
+    library = write_library(tmp_path / "Blinker")
+    with (library / "library.properties").open("a") as file:
+        file.write("depends=Blinker, Traits (>=1.2)\n")
+    (library / "src" / "Blinker.h").write_text("#include <Traits.h>\n" + HEADER)
+    (tmp_path / "blink.ino").write_text(SKETCH)
+    with pytest.raises(CompileError, match="Blinker depends on Traits: give its folder"):
+        NativeHost(tmp_path / "blink.ino", make_board(), libraries=[library])
+
+
+def test_what_is_no_library_is_refused(tmp_path):
+    with pytest.raises(FileError, match="there is no such folder"):
+        read_arduino_library(tmp_path / "none")
+    with pytest.raises(ArgumentError, match="no header and no source"):
+        read_arduino_library(tmp_path)
+    library = write_library(tmp_path / "Blinker")
+    (tmp_path / "a.c").write_text("")
+    with pytest.raises(ArgumentError, match="library Blinker: a library is of the platform arduino, not avr"):
+        NativeHost(tmp_path / "a.c", make_board(), platform="avr", libraries=[library])
+    with pytest.raises(ArgumentError, match=r"it is compiled with the sources of a sketch, and a\.so is built already"):
+        NativeHost("a.so", make_board(), libraries=[library])
