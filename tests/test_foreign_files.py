@@ -67,7 +67,7 @@ def intact(tmp_path_factory):
 READERS = {
     ".snapshot": Snapshot.load,
     ".chip": ChipSnapshot.load,
-    ".zip": share.read,
+    ".zip": share.read_saved_panel,
     ".toml": layouts.read_layout,
     ".json": layouts.read_layout,
     ".elf": lambda path: Elf(path, ARM, "cortex-m3", "build it for one"),
@@ -147,7 +147,7 @@ def test_options_of_a_panel_file_are_texts_numbers_and_lists_of_texts(options, i
     path = tmp_path / "a.zip"
     path.write_bytes(zipped({"panel.json": document, "start.snapshot": snapshot, "now.snapshot": snapshot}))
     with pytest.raises(ArgumentError, match=f"{next(iter(options))}, of what the stage is made of, is"):
-        share.read(path)
+        share.read_saved_panel(path)
 
 
 @pytest.mark.parametrize("ending", READERS)

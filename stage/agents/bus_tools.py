@@ -33,7 +33,7 @@ class BusTools:
     def __init__(self, context: ToolContext, motion: MotionTools):
         self._context, self._motion = context, motion
 
-    def tools(self) -> list[Tool]:
+    def list_tools(self) -> list[Tool]:
         """List the tools. The registers and commands of the stage's chips are the choices of their arguments."""
         chips = tuple(dict.fromkeys(type(a.chip) for a in self._context.stage.axes.values()))
         readable = _remove_duplicates(r.name for c in chips for r in c.MAP.registers)
@@ -181,7 +181,7 @@ class BusTools:
     def trace(self, axis: str, lines: int) -> str:
         """Show the last bus cycles of an axis' chip in words."""
         trace = self._context.trace_of(axis)
-        trace.update()
+        trace.add_new_entries()
         cycles = [line for line in trace.lines if line.kind != "!"][-lines:]
         return "\n".join(line.format(trace.digits) for line in cycles) or "No bus cycle has been made yet."
 

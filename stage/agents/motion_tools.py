@@ -35,7 +35,7 @@ class MotionTools:
         self._watched: dict[str, tuple[ProcedureObserver, int | None]] = {}
         self._stop_commands: dict[str, str] = {}  # with which a host has stopped an axis
 
-    def tools(self) -> list[Tool]:
+    def list_tools(self) -> list[Tool]:
         """List the tools. The tool `line` exists only on a stage with several axes."""
         context = self._context
         axis = {"axis": context.axis_argument}

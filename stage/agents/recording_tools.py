@@ -45,7 +45,7 @@ class RecordingTools:
         self._report_at_end: Any = None  # the last report when the recording ended
         self._files = 0
 
-    def tools(self) -> list[Tool]:
+    def list_tools(self) -> list[Tool]:
         """List the tools; there are none in host mode."""
         if self._context.mode != "truth":
             return []

@@ -26,7 +26,7 @@ class SnapshotTools:
         self._branches: dict[str, tuple[Snapshot, Any]] = {}
         self._branch = MAIN_BRANCH
 
-    def tools(self) -> list[Tool]:
+    def list_tools(self) -> list[Tool]:
         """List the tools."""
         name = {"name": argument(Text, "A name of your own.")}
         return [Tool.from_method(act, name) for act in (self.snapshot, self.restore, self.branch)]
@@ -41,7 +41,7 @@ class SnapshotTools:
 
     def restore(self, name: str) -> dict[str, Any]:
         """Put the stage back to a snapshot, or to "power-up". The budget stays as it is."""
-        self._restore(*self._snapshots[choose("snapshot", name, tuple(self._snapshots))])
+        self._restore_state(*self._snapshots[choose("snapshot", name, tuple(self._snapshots))])
         return {"restored": name, "time_s": self._context.time_s}
 
     def branch(self, name: str) -> dict[str, Any]:
@@ -50,7 +50,7 @@ class SnapshotTools:
         if name != self._branch:
             self._branches[self._branch] = self._take_snapshot()
             if name in self._branches:
-                self._restore(*self._branches.pop(name))
+                self._restore_state(*self._branches.pop(name))
             self._branch = name
         return {"branch": name, "others": list(self._branches), "time_s": self._context.time_s}
 
@@ -58,7 +58,7 @@ class SnapshotTools:
         """Return a snapshot of the stage with the report of the last move."""
         return self._context.stage.snapshot(), self._context.report
 
-    def _restore(self, snapshot: Snapshot, report: Any) -> None:
+    def _restore_state(self, snapshot: Snapshot, report: Any) -> None:
         self._context.stage.restore(snapshot)
         self._context.report = report
         self._context.drop_cached_state()

@@ -187,7 +187,7 @@ class ToolSet:
         with self._lock:
             self.calls += 1
             try:
-                return self._call(name, arguments)
+                return self._run_call(name, arguments)
             except StageError as error:
                 return self.describe_failure(error)
             except (MemoryError, RecursionError) as error:
@@ -200,7 +200,7 @@ class ToolSet:
                     f"{format_value(name)}: PulseStage itself has failed ({what}). The session goes on; please report the call."
                 )
 
-    def _call(self, name: Any, arguments: Any) -> Answer:
+    def _run_call(self, name: Any, arguments: Any) -> Answer:
         """Parse the arguments of a call and run its tool. Raises StageError if the session has ended or the call does not fit."""
         if self._closed:
             raise StageError(self._closed)

@@ -195,7 +195,8 @@ def list_of(kind: Any) -> Any:
 def make_length_mapping_type(names: tuple[str, ...]) -> Any:
     """Return the type of a mapping from some of `names` to lengths."""
 
-    def match_keys(value: Any) -> Any:
+    def match_axis_names(value: Any) -> Any:
+        """Replace each key by the axis name that it matches in upper or lower case."""
         if not isinstance(value, Mapping):
             return value
         matched = [_match_name(names, name) for name in value]
@@ -204,7 +205,7 @@ def make_length_mapping_type(names: tuple[str, ...]) -> Any:
         return dict(zip(matched, value.values(), strict=True))
 
     kind = Annotated[dict[Literal[names], Length], Field(min_length=1)]  # type: ignore[valid-type]
-    return Annotated[kind, BeforeValidator(match_keys), Field(examples=[dict.fromkeys(names[:2], "10mm")])]
+    return Annotated[kind, BeforeValidator(match_axis_names), Field(examples=[dict.fromkeys(names[:2], "10mm")])]
 
 
 def explain_validation_error(

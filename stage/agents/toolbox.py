@@ -73,10 +73,10 @@ class Toolbox(ToolContext, ToolSet):
             )
         ToolContext.__init__(self, stage, mode, budget or Budget(), patience)
         self.motion, self.recordings = MotionTools(self), RecordingTools(self, folder)
-        tools = [*BusTools(self, self.motion).tools(), *self.motion.tools(), make_picture_tool(self)]
-        tools += SnapshotTools(self).tools() if snapshots else []
-        tools += TruthTools(self).tools() if mode == "truth" else []
-        ToolSet.__init__(self, [*tools, *self.recordings.tools(), *more])
+        tools = [*BusTools(self, self.motion).list_tools(), *self.motion.list_tools(), make_picture_tool(self)]
+        tools += SnapshotTools(self).list_tools() if snapshots else []
+        tools += TruthTools(self).list_tools() if mode == "truth" else []
+        ToolSet.__init__(self, [*tools, *self.recordings.list_tools(), *more])
 
     @explain_arguments
     def act(self, tool: Tool, values: dict[str, Any]) -> Any:
@@ -94,7 +94,7 @@ class Toolbox(ToolContext, ToolSet):
         finally:
             self.meter.end_call()
             for trace in self.traces:
-                trace.update()
+                trace.add_new_entries()
             self.recordings.end_long_recording()
 
     def describe_failure(self, error: StageError) -> Answer:

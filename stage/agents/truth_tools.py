@@ -23,7 +23,7 @@ class TruthTools:
         self._context = context
         self._faults: list[faults.Fault] = []
 
-    def tools(self) -> list[Tool]:
+    def list_tools(self) -> list[Tool]:
         """List the tools; each function of `stage.sim.faults` is one."""
         axis = {"axis": self._context.axis_argument}
         position = argument(Length, 'Position in m or rad, or a text such as "10mm".')

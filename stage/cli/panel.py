@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from stage.panel.server import Panel
     from stage.panel.session import Session
 
-    shared = saved_panel.read(args.open) if args.open is not None else None
+    shared = saved_panel.read_saved_panel(args.open) if args.open is not None else None
     if shared is not None and shared.stage_options is not None:
         args = argparse.Namespace(**vars(args) | shared.stage_options)
 
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         )
         panel = Panel(session, args.port, args.host, stage_options)
         if shared is not None:
-            saved_panel.restore(panel, shared)
+            saved_panel.restore_panel(panel, shared)
         session.paused = args.paused
         print(f"{panel.address}\nCtrl-C ends it", flush=True)
         if not args.no_browser and not panel.show():
@@ -133,8 +133,8 @@ def run_in_real_time(session: Session, host: Any, seconds: float | None, timeout
     stage = host.board.stage
     left = timeout if seconds is None else seconds
     end = stage.now + round(left * 1e9)
-    while (left := (end - stage.now) * 1e-9) > session.slice_s:
-        result = host.run_for(session.slice_s)
+    while (left := (end - stage.now) * 1e-9) > session.catch_up_interval_s:
+        result = host.run_for(session.catch_up_interval_s)
         if result is not None or host.serial.is_satisfied:
             return result
         session.catch_up()

@@ -228,7 +228,7 @@ def _parse_positive(option: str, text: str, units: dict[str, float], example: st
 
 
 class _Progress:
-    """Progress of a search, as a line on the terminal."""
+    """Line on a terminal that shows how many trials of a search are done."""
 
     def __init__(self, trials: int):
         self._trials = trials

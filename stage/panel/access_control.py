@@ -123,7 +123,7 @@ class RequestGuard:
         except (ValueError, CookieError):  # no address, or no cookies
             reason = "This server cannot parse the headers of this request."
         if reason:
-            await _refuse(scope, send, reason)
+            await _send_refusal(scope, send, reason)
             return
 
         async def add_content_policy(message: dict) -> None:
@@ -160,7 +160,7 @@ class RequestGuard:
         return ""
 
 
-async def _refuse(scope: dict, send: Any, reason: str) -> None:
+async def _send_refusal(scope: dict, send: Any, reason: str) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008, "reason": reason})
         return

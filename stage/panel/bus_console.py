@@ -53,7 +53,7 @@ class BusConsole:
             with self._fold:
                 self._diagnostics_log = TextLog(updates, MAX_LINES).classes("trace w-full").style("height: 130px")
                 self._diagnostics_log.props('data-test="diagnosed" aria-label="diagnostics"')
-        ui.timer(0.1, self._update)
+        ui.timer(0.1, self._show_new_lines)
 
     def _select_target(self, index: int) -> None:
         before, self._target = self._target, self._targets[index]
@@ -104,9 +104,10 @@ class BusConsole:
         except StageError as error:
             self._line.error = str(error)
             self._line.run_method("select")
-        self._update()
+        self._show_new_lines()
 
-    def _update(self) -> None:
+    def _show_new_lines(self) -> None:
+        """Show the new lines of the bus trace, and the new diagnostics of all chips."""
         traces = self._panel.observer.traces
         trace = traces[self._target[0]]
         for line in trace.lines_after(self._last_line):

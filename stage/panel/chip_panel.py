@@ -122,40 +122,40 @@ class RegisterRow:
     the controls of its fields, and a button sends it.
     """
 
-    def __init__(self, place: MapItem, write: Callable[[MapItem, int], Awaitable[None]], mark: str):
-        self.place, self._write, self._mark = place, write, mark
+    def __init__(self, item: MapItem, write: Callable[[MapItem, int], Awaitable[None]], mark: str):
+        self.item, self._write, self._mark = item, write, mark
         self._chip_value: int | None = None
         self._flash, self._editing = "", False
         self._fields: list[FieldControl] = []
         self._area: ui.element | None = None
-        if isinstance(place, Register):
-            limits, letter = f"{describe_range(place)} {place.unit}", place.evidence
+        if isinstance(item, Register):
+            limits, letter = f"{describe_range(item)} {item.unit}", item.evidence
         else:
-            limits, letter = f"{place.bits} bits", find_weakest_evidence(place.fields)
+            limits, letter = f"{item.bits} bits", find_weakest_evidence(item.fields)
         with ui.element("div").classes("name"):
-            name = ui.button(place.name, on_click=self._toggle_fields) if place.fields else ui.label(place.name)
-        if place.fields:
+            name = ui.button(item.name, on_click=self._toggle_fields) if item.fields else ui.label(item.name)
+        if item.fields:
             name.props(f'flat dense no-caps size=sm icon-right=expand_more data-test="fields-{mark}"')
         name.props["title"] = limits
         self._build_value()
-        if isinstance(place, Register):
-            ui.label(place.unit).classes("unit")
+        if isinstance(item, Register):
+            ui.label(item.unit).classes("unit")
         else:
             make_bus_cycles = ui.button("send", on_click=lambda: self._write_entered_value(self._value.value or ""))
             make_bus_cycles.props(f'flat dense no-caps size=sm data-test="send-{mark}"')
         ui.label(letter).classes("evidence").props["title"] = describe_evidence(letter)
         with ui.element("div").classes("meaning") as self._meaning:
-            ui.label(place.title if isinstance(place, Register) or not place.note else place.text)
-            with ui.element("small").classes("words" if place.fields else ""):
+            ui.label(item.title if isinstance(item, Register) or not item.note else item.text)
+            with ui.element("small").classes("words" if item.fields else ""):
                 self._words = ui.label()
 
     def _build_value(self) -> None:
-        place = self.place
-        if isinstance(place, Register) and "W" not in place.access:
+        item = self.item
+        if isinstance(item, Register) and "W" not in item.access:
             self._value: Any = ui.label().classes("number")
         else:
             self._value = ui.input().props("dense hide-bottom-space no-error-icon autocomplete=off spellcheck=false")
-            self._value.props["aria-label"] = f"{place.name}, {place.title}"
+            self._value.props["aria-label"] = f"{item.name}, {item.title}"
             self._value.on("keydown", self._handle_key, args=["key"])
             self._value.on("blur", self._cancel_editing, args=[])
         self._value.props(f'data-test="value-{self._mark}"')
@@ -164,9 +164,9 @@ class RegisterRow:
         """Forget the value of the chip, so that the row does not flash when it shows another axis."""
         self._chip_value, self._editing = None, False
 
-    def update(self, values: Mapping[str, int]) -> None:
+    def show_chip_values(self, values: Mapping[str, int]) -> None:
         """Show the value that the chip holds now, from the values of all its registers and words by name."""
-        value = values.get(self.place.name)
+        value = values.get(self.item.name)
         if value is None or value == self._chip_value:
             return
         before, self._chip_value = self._chip_value, value
@@ -185,12 +185,12 @@ class RegisterRow:
             self._value.error = None
 
     def _show_value(self, value: int | None) -> None:
-        text = "" if value is None else format_value(self.place, value)
+        text = "" if value is None else format_value(self.item, value)
         if isinstance(self._value, ui.input):
             self._value.value = text
         else:
             self._value.text = text
-        self._words.text = "" if value is None else describe_value(self.place, value)
+        self._words.text = "" if value is None else describe_value(self.item, value)
 
     async def _handle_key(self, event: GenericEventArguments) -> None:
         key = event.args.get("key")
@@ -207,7 +207,7 @@ class RegisterRow:
 
     async def _write_entered_value(self, text: str) -> None:
         try:
-            value = parse_number(text, self.place.bits)
+            value = parse_number(text, self.item.bits)
         except ArgumentError as error:
             self._value.error = str(error)
             return
@@ -217,7 +217,7 @@ class RegisterRow:
             self._show_chip_value()
 
     async def _send(self, value: int) -> None:
-        await self._write(self.place, value)
+        await self._write(self.item, value)
         if self._chip_value is None:  # what was sent stays, to be sent again
             self._show_value(value)
 
@@ -231,7 +231,7 @@ class RegisterRow:
         with self._area:
             self._fields = [
                 FieldControl(f, f.extract(self._chip_value or 0), f"field-{self._mark}-{f.name}", self._write_field)
-                for f in self.place.fields
+                for f in self.item.fields
                 if not is_fixed(f)
             ]
         self._area.move(parent, parent.default_slot.children.index(self._meaning) + 1)
@@ -246,7 +246,7 @@ class RegisterRow:
             bits = [control.read() << control.field.low & control.field.mask for control in self._fields]
         except ArgumentError:
             return
-        self._show_value(replace_field(sum(bits, getattr(self.place, "fixed", 0)), field, value))
+        self._show_value(replace_field(sum(bits, getattr(self.item, "fixed", 0)), field, value))
 
 
 class LampRow:
@@ -265,7 +265,7 @@ class LampRow:
         """Forget the value, before the row shows another axis."""
         self._chip_value = -1
 
-    def update(self, values: Mapping[str, int]) -> None:
+    def show_chip_values(self, values: Mapping[str, int]) -> None:
         """Show the value that the chip holds now, from the values of all its registers and words by name."""
         value = values.get(self._word.name)
         self._line.set_visibility(value is not None)
@@ -327,12 +327,12 @@ class ChipCard:
         names = " ".join(name for name in self.names.values() if "(" not in name) or "no axis"
         with ui.card().classes("w-full q-pa-none"):
             self._body = ui.expansion(f"{names}: {self.front.map.title}").classes("w-full front")
-        self._body.props(f'data-test="chip-{k}"').on_value_change(self._build)
+        self._body.props(f'data-test="chip-{k}"').on_value_change(self._build_content)
         if k == 0:
             self._body.value = True
-        ui.timer(0.1, self._update)
+        ui.timer(0.1, self._show_values)
 
-    def _build(self) -> None:
+    def _build_content(self) -> None:
         if self._rows or not self._body.value:
             return
         self.panel.observer.request_registers(self.k, self.axis)
@@ -354,7 +354,7 @@ class ChipCard:
                             self._build_command(button)
             with _build_foldable_part("registers"), ui.element("div").classes("registers"):
                 places: list[MapItem] = [*self.front.registers, *self.front.forms]
-                self._rows += [RegisterRow(place, self.write, f"{self.k}-{place.name}") for place in places]
+                self._rows += [RegisterRow(item, self.write, f"{self.k}-{item.name}") for item in places]
 
     def _select_axis(self, event: Any) -> None:
         self.axis = event.value
@@ -384,25 +384,25 @@ class ChipCard:
         code = f"-{command.datum:X}" if command.datum is not None else ""
         button.props["data-test"] = f"command-{self.k}-{command.symbol}{code}"
 
-    async def write(self, place: MapItem, value: int) -> None:
+    async def write(self, item: MapItem, value: int) -> None:
         """Write a register or a word of the axis that the card shows."""
-        await self._send(list_write_cycles(self.front.kind, place, value, self.axis))
+        await self._send(list_write_cycles(self.front.kind, item, value, self.axis))
 
     async def _send(self, cycles: Sequence[BusCycle]) -> None:
         try:
             await make_bus_cycles(self.panel, self.k, cycles)
         except StageError as error:
             ui.notify(str(error), type="negative")
-        self._update()
+        self._show_values()
 
-    def _update(self) -> None:
+    def _show_values(self) -> None:
         if not (self._rows and self._body.value):
             return
         self.panel.observer.request_registers(self.k, self.axis)
         view = self.panel.observer.chips.get((self.k, self.axis))
         if view is not None:
             for row in self._rows:
-                row.update(view.values)
+                row.show_chip_values(view.values)
 
 
 def _build_foldable_part(title: str, is_open: bool = True) -> ui.expansion:

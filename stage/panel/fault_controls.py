@@ -128,7 +128,7 @@ class FaultControls:
         self.session = session
         self._active_faults: list[ActiveFault] = []
         self._pushes: dict[str, float] = {}
-        self._end_observing = session.on_slice(self._keep_pushing)
+        self._end_observing = session.call_after_slices(self._keep_pushing)
 
     # --- faults ---
 

@@ -43,12 +43,12 @@ class FaultPanel:
                 for sign, label, name in ((-1, "push -", "minus"), (1, "push +", "plus")):
                     button = ui.button(label)
                     button.props(f"dense no-caps data-test=push-{name} aria-label='{label}, while held'")
-                    on_hold(button, partial(self._push, sign), lambda: run.io_bound(self._end_push))
+                    on_hold(button, partial(self._begin_push, sign), lambda: run.io_bound(self._end_push))
             self._box = ui.row().classes("w-full items-start q-gutter-xs")
             self._list = ui.column().classes("w-full q-gutter-none").props("data-test=in-force aria-live=polite")
         panel.controls.call_when_controls_lost(ui.context.client.id, self._schedule_end_of_push)
         self._select_axis(self.axis)
-        ui.timer(0.25, self._update)
+        ui.timer(0.25, self._update_sliders_and_list)
 
     def _build_sliders(self) -> None:
         controls = self.fault_controls
@@ -86,9 +86,9 @@ class FaultPanel:
                 await run.io_bound(write, float(event.args))
             except StageError as error:
                 ui.notify(str(error), type="negative")
-            update()
+            show_value()
 
-        def update() -> None:
+        def show_value() -> None:
             value = read()
             if value is not None and displayed != [value]:
                 displayed[:] = [value]
@@ -96,13 +96,14 @@ class FaultPanel:
 
         displayed: list[float] = []
         slider.on("change", write_value)
-        self._slider_updates.append(update)
-        update()
+        self._slider_updates.append(show_value)
+        show_value()
 
     def _list_push_fields(self) -> list[FormField]:
         return [FormField("force", "push with", self.fault_controls.find_push_unit(self.axis), "10")]
 
-    async def _push(self, sign: int) -> None:
+    async def _begin_push(self, sign: int) -> None:
+        """Push the selected axis with the typed force until `_end_push`; `sign` is +1 or -1."""
         if self._pushed_axis:
             return  # a key that repeats
         self._pushed_axis = self.axis
@@ -134,19 +135,19 @@ class FaultPanel:
             fields = ui.row().classes("items-start q-gutter-xs")
             text = ui.label().classes("text-caption w-full")
 
-            def build() -> None:
+            def build_form() -> None:
                 fields.clear()
                 text.text = forms[select.value].title
                 with fields:
                     self._build_form(forms[select.value])
 
-            select.on_value_change(build)
-            build()
+            select.on_value_change(build_form)
+            build_form()
 
     def _build_form(self, form: FaultForm) -> None:
         view = FormView("break", form.fields)
 
-        async def make() -> None:
+        async def make_fault() -> None:
             view.clear_errors()
             try:
                 await run.io_bound(self.fault_controls.make_fault, form.name, self.axis, view.texts)
@@ -154,10 +155,10 @@ class FaultPanel:
                 if not view.show_error(error):
                     ui.notify(str(error), type="negative", multi_line=True)
 
-        button = on_single_click(ui.button("break it"), make).classes("q-mt-xs")
+        button = on_single_click(ui.button("break it"), make_fault).classes("q-mt-xs")
         button.props("dense no-caps color=deep-orange-9 data-test=break")
 
-    def _update(self) -> None:
+    def _update_sliders_and_list(self) -> None:
         """Update the sliders, and the list of faults if it has changed."""
         for update in self._slider_updates:
             update()

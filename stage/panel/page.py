@@ -203,7 +203,7 @@ class Toolbar:
     async def _save_file(self, file: str) -> None:
         try:
             if file == "panel.zip":
-                data = await run.io_bound(saved_panel.save, self._panel) or b""
+                data = await run.io_bound(saved_panel.save_panel, self._panel) or b""
             else:
                 data = ((await run.io_bound(saved_panel.write_program, self._panel, file)) or "").encode()
         except StageError as error:

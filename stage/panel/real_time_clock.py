@@ -26,17 +26,17 @@ class RealTimeClock:
 
     Args:
         speed: Simulated seconds in a real second, MIN_SPEED to MAX_SPEED, or FREE.
-        now: Simulated time, ns.
+        now_ns: Simulated time, ns.
 
     Attributes:
         achieved_speed: Simulated seconds in a real second, measured recently; `speed` at first.
     """
 
-    def __init__(self, speed: float, now: int):
+    def __init__(self, speed: float, now_ns: int):
         self.speed = speed
         self.achieved_speed = self._speed
         self._ns_per_slice = SLICE_S * 1e9  # simulated ns that the machine can compute in a slice
-        self.restart(now)
+        self.restart(now_ns)
 
     @property
     def speed(self) -> float:
@@ -56,49 +56,49 @@ class RealTimeClock:
         """Simulated seconds that may pass before the clock is asked again."""
         return SLICE_S * (1.0 if self._speed == FREE else self._speed)
 
-    def restart(self, now: int) -> None:
-        """Restart at simulated time `now`, ns: this time is due now, whatever was late or early before."""
-        self._real, self._simulated = perf_counter(), now
-        self._measured = (self._real, now)
+    def restart(self, now_ns: int) -> None:
+        """Restart at simulated time `now_ns`: this time is due now, whatever was late or early before."""
+        self._real, self._simulated = perf_counter(), now_ns
+        self._measured = (self._real, now_ns)
         self._slice_began: tuple[float, int] | None = None
 
-    def plan_slice(self, now: int, until: int, min_ns: int, seconds: float = SLICE_S) -> int:
+    def plan_slice(self, now_ns: int, until_ns: int, min_ns: int, seconds: float = SLICE_S) -> int:
         """Return the simulated time, ns, at which the next slice of simulation is to end.
 
         Args:
-            now: Simulated time now, ns.
-            until: Simulated time that the caller wants to reach, ns.
+            now_ns: Simulated time now, ns.
+            until_ns: Simulated time that the caller wants to reach, ns.
             min_ns: Least length of the slice, ns.
             seconds: Length of the slice in real seconds. On a machine that cannot keep up, the slice is as long as can be
                 computed in MAX_COMPUTING_S.
         """
         if self._slice_began is not None:
             (real, simulated), self._slice_began = self._slice_began, None
-            if simulated < now:
-                measured = (now - simulated) * MAX_COMPUTING_S / max(perf_counter() - real, 1e-9)
+            if simulated < now_ns:
+                measured = (now_ns - simulated) * MAX_COMPUTING_S / max(perf_counter() - real, 1e-9)
                 self._ns_per_slice = min(measured, MAX_GROWTH * self._ns_per_slice)
         length = min(self.slice_s if self._speed == FREE else seconds * self._speed, self._ns_per_slice * 1e-9)
-        return min(until, now + max(round(length * 1e9), min_ns))
+        return min(until_ns, now_ns + max(round(length * 1e9), min_ns))
 
-    def start_slice(self, now: int) -> None:
-        """Store that a slice begins at simulated time `now`, ns; the time that it takes limits the length of the next slice."""
-        self._slice_began = perf_counter(), now
+    def start_slice(self, now_ns: int) -> None:
+        """Store that a slice begins at simulated time `now_ns`; the time that it takes limits the length of the next slice."""
+        self._slice_began = perf_counter(), now_ns
 
-    def seconds_until(self, goal: int, now: int) -> float:
-        """Return the real seconds until simulated time `goal`, ns, is due; negative if it is late.
+    def seconds_until(self, goal_ns: int, now_ns: int) -> float:
+        """Return the real seconds until simulated time `goal_ns` is due; negative if it is late.
 
-        The clock restarts if simulated time `now`, ns, is more than MAX_LAG_S behind, instead of trying to catch up.
+        The clock restarts if simulated time `now_ns`, is more than MAX_LAG_S behind, instead of trying to catch up.
         """
         if self._speed == FREE:
             return 0.0
-        left = self._real + (goal - self._simulated) * 1e-9 / self._speed - perf_counter()
+        left = self._real + (goal_ns - self._simulated) * 1e-9 / self._speed - perf_counter()
         if left < -MAX_LAG_S:
-            self.restart(now)
+            self.restart(now_ns)
         return left
 
-    def measure(self, now: int) -> None:
-        """Update `achieved_speed` at simulated time `now`, ns."""
+    def update_achieved_speed(self, now_ns: int) -> None:
+        """Update `achieved_speed` at simulated time `now_ns`."""
         passed = perf_counter() - self._measured[0]
         if passed > MEASURING_TIME_S:
-            self.achieved_speed = (now - self._measured[1]) * 1e-9 / passed
-            self._measured = (perf_counter(), now)
+            self.achieved_speed = (now_ns - self._measured[1]) * 1e-9 / passed
+            self._measured = (perf_counter(), now_ns)

@@ -179,7 +179,7 @@ class Sampler:
         self._end_observing = lambda: None
         if axes:
             session.do(self._connect_source)
-            self._end_observing = session.on_slice(self._after_slice)
+            self._end_observing = session.call_after_slices(self._after_slice)
 
     # --- in the stage's thread ---
 
@@ -239,7 +239,8 @@ class Sampler:
             self._read += len(piece)
             self._store_rows(piece["axes"].astype(SAMPLE))
 
-    def _detach(self, stage: Stage) -> None:
+    def _disconnect_source(self, stage: Stage) -> None:
+        """Stop getting samples; connect the samplers that got theirs from this one to another source."""
         current = stage.loop.recording
         if current is self:
             stage.stop_recording()
@@ -302,7 +303,7 @@ class Sampler:
     def close(self) -> None:
         """Stop sampling."""
         self._end_observing()
-        self.session.do(self._detach)
+        self.session.do(self._disconnect_source)
 
 
 def thin_curve(times: np.ndarray, values: np.ndarray, pixel_columns: int) -> tuple[np.ndarray, np.ndarray]:

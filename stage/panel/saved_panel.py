@@ -314,7 +314,7 @@ def write_program(panel: Panel, name: str) -> str:
     return panel.session.do(lambda stage: PROGRAM_FORMATS[name](panel, *capture_panel(panel)))
 
 
-def save(panel: Panel) -> bytes:
+def save_panel(panel: Panel) -> bytes:
     """Return the bytes of a file that holds the panel as it is now."""
 
     def capture_with_programs(stage: Stage) -> tuple[SavedPanel, int, dict[str, str]]:
@@ -362,8 +362,8 @@ def _save_to_bytes(snapshot: Snapshot) -> bytes:
         return snapshot.save(Path(folder) / "snapshot").read_bytes()
 
 
-def read(path: str | os.PathLike) -> SavedPanel:
-    """Read a file that `save` has written. Raises ArgumentError if the file is not valid."""
+def read_saved_panel(path: str | os.PathLike) -> SavedPanel:
+    """Read a file that `save_panel` has written. Raises ArgumentError if the file is not valid."""
 
     def make_error(why: str) -> ArgumentError:
         """Return the error for an invalid file, with the reason."""
@@ -433,7 +433,7 @@ def _check_32_bit_number(value: Any) -> int:
     return value
 
 
-def restore(panel: Panel, saved: SavedPanel) -> None:
+def restore_panel(panel: Panel, saved: SavedPanel) -> None:
     """Restore the content of a file on the panel's stage, and continue from it.
 
     Args:

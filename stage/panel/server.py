@@ -59,17 +59,17 @@ class Website:
 
         from stage.panel import page
 
-        def build(request: Request) -> None:
+        def build_page_of_request(request: Request) -> None:
             page.build_page(self._find_panel(request.scope))
 
         report_malformed_messages_once()
         self.panels: dict[int, Panel] = {}
         self.app = FastAPI(openapi_url=None)
         self.app.add_route("/mesh/{mesh:int}.stl", self._serve_mesh)
-        build.__annotations__["request"] = Request
+        build_page_of_request.__annotations__["request"] = Request
         ui.run_with(
             self.app,
-            root=build,
+            root=build_page_of_request,
             title="PulseStage",
             dark=None,
             show_welcome_message=False,
@@ -145,7 +145,7 @@ class Panel:
         self.session, self.controls, self._owns_session = session, ControlsAssignment(), owns_session
         self.reports = ProcedureReports(session)
         self.stage_options = stage_options
-        self._socket = _listen(host, port)
+        self._socket = _open_listening_socket(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == LOOPBACK else secrets.token_urlsafe(16)
         self.observer, self.sampler, self.fault_controls = (
@@ -219,7 +219,7 @@ class Panel:
             self.session.close()
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def _open_listening_socket(host: str, port: int) -> socket.socket:
     """Return a socket that listens on a host and port. Raises StageError if that is not possible."""
     if not 0 <= port < 1 << 16:
         raise ArgumentError(f"port={port!r}: a TCP port is 0 (one that is free) to 65535.")

@@ -171,13 +171,13 @@ class Session(StageThread):
     def take_over(self) -> None:
         """Make the program wait at its next use of the stage, and let the session drive the stage."""
         self.program_suspended = bool(self.program)
-        self._reserve()
+        self._update_reservation()
 
     def give_back(self) -> None:
         """Stop all actions of the session, and let the program drive the stage again."""
         self.stop_actions()
         self.program_suspended = False
-        self._reserve()
+        self._update_reservation()
 
     def end_program(self) -> None:
         """Make each wait of the program raise ActionStopped in its thread. Signal handlers may call this method."""
@@ -191,7 +191,7 @@ class Session(StageThread):
         """
         self.lock.release_all()
         self.program, self.program_suspended = "", False
-        self._reserve()
+        self._update_reservation()
 
     @property
     def program_waits(self) -> bool:
@@ -199,7 +199,7 @@ class Session(StageThread):
         return self.program_suspended and self.lock.has_waiting
 
     @property
-    def slice_s(self) -> float:
+    def catch_up_interval_s(self) -> float:
         """Simulated seconds after which a program has to call `catch_up` again."""
         return self._clock.slice_s
 

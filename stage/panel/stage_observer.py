@@ -93,7 +93,7 @@ class BusTrace:
         self._last_diagnostic: Diagnostic | None = None
         self._add_diagnostics()
 
-    def update(self) -> None:
+    def add_new_entries(self) -> None:
         """Add the cycles and diagnostics since the last call."""
         if self.chip.clock < self._clock:  # a snapshot, or a reset of the stage
             self.restart()
@@ -108,12 +108,12 @@ class BusTrace:
 
     def read(self, address: int) -> int:
         """Make a read cycle on the chip, add it to the trace, and return its datum."""
-        self.update()
+        self.add_new_entries()
         datum = self.chip.read(address)
         address &= self.chip.ADDRESS_MASK
         if address not in self.chip.READING_ACTS:
-            self._add(self.chip.clock, "R", address, datum, self._listener.read(address, datum))
-        self.update()
+            self._add_line(self.chip.clock, "R", address, datum, self._listener.read(address, datum))
+        self.add_new_entries()
         return datum
 
     def lines_after(self, number: int) -> list[TraceLine]:
@@ -132,7 +132,7 @@ class BusTrace:
             self.sent.pop()
         self._listener = self.chip.make_describer()
         self._last_diagnostic = self.chip.diagnostics[-1] if self.chip.diagnostics else None
-        self._add(self.chip.clock, "reset", 0, 0, "the time went back")
+        self._add_line(self.chip.clock, "reset", 0, 0, "the time went back")
 
     def _add_entry(self, e: Entry) -> None:
         is_lost = e.kind == LOST and self._losses
@@ -145,16 +145,16 @@ class BusTrace:
             if e.kind != LOST and self.sent is not None:
                 self.sent.append(e)
             words = (self._listener.read if e.kind == READ else self._listener.write)(e.a, e.b)
-        self._add(e.clock, KINDS[WRITE if e.kind == LOST and not is_lost else e.kind], e.a, e.b, words)
+        self._add_line(e.clock, KINDS[WRITE if e.kind == LOST and not is_lost else e.kind], e.a, e.b, words)
 
     def _add_diagnostics(self) -> None:
         diagnostics = self.chip.diagnostics
         new = list(takewhile(lambda d: d is not self._last_diagnostic, reversed(diagnostics)))
         for d in reversed(new):
-            self.diagnostics.append(self._add(d.clock, DIAGNOSTIC, d.address, d.value, d.message, d.source))
+            self.diagnostics.append(self._add_line(d.clock, DIAGNOSTIC, d.address, d.value, d.message, d.source))
         self._last_diagnostic = diagnostics[-1] if diagnostics else None
 
-    def _add(self, clock: int, kind: str, address: int, datum: int, words: str, source: str = "") -> TraceLine:
+    def _add_line(self, clock: int, kind: str, address: int, datum: int, words: str, source: str = "") -> TraceLine:
         self._number += 1
         times, first, last = 1, self._number, self.lines[-1] if self.lines else None
         if last is not None and kind == last.kind == "R" and address == last.address:  # a host that polls
@@ -222,7 +222,7 @@ class StageObserver:
         self.traces: tuple[BusTrace, ...] = session.do(lambda stage: tuple(BusTrace(chip) for chip in stage.chips))
         self.program_start: tuple[int, Snapshot] = session.do(self._start_program)
         session.do(self.update_views)
-        self._end_observing = session.on_slice(self._after_slice)
+        self._end_observing = session.call_after_slices(self._after_slice)
 
     def request_registers(self, chip: int, axis: int) -> None:
         """Request that `chips` has the values of an axis of a chip, from the next update on for REQUEST_LIFETIME_S.
@@ -244,7 +244,7 @@ class StageObserver:
         keys = [key for key, at in tuple(self._requests.items()) if now - at < REQUEST_LIFETIME_S]
         self.chips = {(k, axis): build_chip_view(stage.chips[k], axis) for k, axis in keys}
         for trace in self.traces:
-            trace.update()
+            trace.add_new_entries()
         cycles = sum(len(trace.sent or ()) for trace in self.traces)
         if stage.now < self.program_start[0] or cycles > MAX_PROGRAM_CYCLES:
             self.program_start = self._start_program(stage)

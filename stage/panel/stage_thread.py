@@ -145,7 +145,7 @@ class StageThread:
         self.view = StageView(0, stage.time, speed, "", "", np.array(stage.data.qpos))
         self._view_now, self._changed_at, self._polled_at = -1, 0.0, stage.now
         self._words = stage.state.words
-        self._thread = threading.Thread(target=self._run, name="pulsestage session", daemon=True)
+        self._thread = threading.Thread(target=self._run_worker, name="pulsestage session", daemon=True)
         self._started = threading.Event()
         self._thread.start()
         self._started.wait()
@@ -176,7 +176,7 @@ class StageThread:
         with self._work:
             self._check_open()
             self._orders.append((order, future))
-            self._notify()
+            self._wake_worker()
         return future
 
     def act(self, name: str, run: Callable[[Stage], T]) -> Future[T]:
@@ -197,7 +197,7 @@ class StageThread:
             self._check_open()
             self._last_action = action.future
             self._actions.append(action)
-            self._notify()
+            self._wake_worker()
         return action.future
 
     def stop_actions(self) -> bool:
@@ -211,7 +211,7 @@ class StageThread:
             self._actions.clear()
             if acting is not None:
                 acting.stopped = True
-            self._notify()
+            self._wake_worker()
         for action in waiting:
             if action.future.set_running_or_notify_cancel():
                 action.future.set_exception(ActionStopped("stopped."))
@@ -223,7 +223,7 @@ class StageThread:
         last = self._last_action
         return last is not None and not last.done()
 
-    def on_slice(self, observer: Order) -> Callable[[], None]:
+    def call_after_slices(self, observer: Order) -> Callable[[], None]:
         """Have the worker call `observer(stage)` after each slice; return a function that ends these calls."""
         with self._work:
             self._observers = (*self._observers, observer)
@@ -248,10 +248,10 @@ class StageThread:
 
     def _notify_all(self) -> None:
         """Make all waiting threads check their conditions again."""
-        self._notify()
+        self._wake_worker()
         self.lock.notify_all()
 
-    def _notify(self) -> None:
+    def _wake_worker(self) -> None:
         """Wake the worker."""
         with self._work:
             self._has_work = True
@@ -259,16 +259,17 @@ class StageThread:
 
     # --- the worker ---
 
-    def _run(self) -> None:
+    def _run_worker(self) -> None:
+        """Drive the stage, or observe its program, until `close`. The worker thread runs this method."""
         loop = self.stage.loop
         self._identifier = threading.get_ident()
         self._share_lock(self.lock)
         loop.pace = self._pace
-        self._reserve()
+        self._update_reservation()
         self._started.set()
         try:
             while not self._closed:
-                (self._drive if self._is_driving() else self._observe_program)()
+                (self._drive_stage if self._is_driving() else self._observe_program)()
         finally:
             loop.pace = None
             self._share_lock(None)
@@ -281,7 +282,7 @@ class StageThread:
         for chip in self.stage.chips:
             chip.set_lock(lock)
 
-    def _reserve(self) -> None:
+    def _update_reservation(self) -> None:
         """Reserve the lock for the worker if it drives, and refuse all other threads if there is also no program."""
         drives = self._is_driving() and not self._closed
         self.lock.reserve(self._identifier if drives else 0, "" if self.program or not drives else NOT_YOURS)
@@ -291,7 +292,7 @@ class StageThread:
         """Return whether the worker lets time pass, and not a program."""
         return self.program_suspended or not self.program
 
-    def _drive(self) -> None:
+    def _drive_stage(self) -> None:
         """Let time pass and carry out orders and actions until a program drives."""
         if not self.lock.acquire(MAX_LAG_S):
             return
@@ -300,7 +301,7 @@ class StageThread:
             while not self._closed and self._is_driving():
                 self._carry_out_orders()
                 if (action := self._next_action()) is not None:
-                    self._perform(action)
+                    self._perform_action(action)
                 elif self._paused or self._trouble:
                     self._wait_paused()
                 else:
@@ -311,7 +312,7 @@ class StageThread:
 
     def _observe_program(self) -> None:
         """Carry out orders between the calls of a program, and publish the changes that the program has made."""
-        self._wait(SLICE_S)
+        self._wait_for_work(SLICE_S)
         if self.stage.now != self._view_now:
             self._changed_at = perf_counter()
         is_recent = perf_counter() - self._changed_at < AFTERGLOW_S
@@ -337,9 +338,9 @@ class StageThread:
 
     def _wait_paused(self) -> None:
         self._publish_view()
-        self._wait(IDLE_INTERVAL_S)
+        self._wait_for_work(IDLE_INTERVAL_S)
 
-    def _wait(self, seconds: float) -> None:
+    def _wait_for_work(self, seconds: float) -> None:
         """Wait for orders, actions or other changes, `seconds` real seconds at most."""
         with self._work:
             self._work.wait_for(lambda: self._has_work, seconds)
@@ -367,7 +368,8 @@ class StageThread:
             self._acting = self._actions.popleft() if self._actions else None
             return self._acting
 
-    def _perform(self, action: Action) -> None:
+    def _perform_action(self, action: Action) -> None:
+        """Run an action, and set the result of its future."""
         self._restart_clock()
         self._publish_view()
         try:
@@ -393,7 +395,7 @@ class StageThread:
             self._trouble = describe_escape(stage)
         if self._trouble and acting is not None:
             acting.stopped = True
-        self._clock.measure(stage.now)
+        self._clock.update_achieved_speed(stage.now)
         self._view_now = stage.now
         self.view = StageView(
             self.view.number + 1, stage.time, self._clock.achieved_speed, acting.name if acting else "", self._trouble,
@@ -460,7 +462,7 @@ class StageThread:
             goal = clock.plan_slice(stage.now, until, stage.state.dt)
             if (left := clock.seconds_until(goal, stage.now)) <= 0:
                 break
-            self._wait(left)
+            self._wait_for_work(left)
         self._history.remember(stage)
         return max(goal, stage.now)
 

@@ -85,7 +85,7 @@ class Tour:
         self._running_axes: dict[str, AxisRun] = {}
         self._pulses: dict[str, tuple[float, float]] = {}  # net pulses of each axis, and when, s
         self._lost_at_first: dict[str, int] = {}
-        self._end_observing = session.on_slice(self.observe)
+        self._end_observing = session.call_after_slices(self.observe)
 
     @property
     def step(self) -> Step | None:

@@ -118,11 +118,11 @@ def connect(address: str = "", *, observe: bool = False, timeout: float | None =
 class _Requests(Generic[_W, _R]):
     """Methods for requests of bus cycles and time. A `Batch` collects the requests; a `Client` sends each one at once."""
 
-    def _write(self, what: int, a: int, b: int = 0) -> _W:
+    def _request_write(self, what: int, a: int, b: int = 0) -> _W:
         """Make or collect a request without an answer; `what` is its kind, `a` and `b` are its operands."""
         raise NotImplementedError
 
-    def _read(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> _R:
+    def _request_read(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> _R:
         """Make or collect a request with an answer; see `Batch.add` for the parameters."""
         raise NotImplementedError
 
@@ -133,11 +133,11 @@ class _Requests(Generic[_W, _R]):
             port: The port.
             value: The value, 0 to 255.
         """
-        return self._write(OUT8, port, value)
+        return self._request_write(OUT8, port, value)
 
     def in8(self, port: int) -> _R:
         """Make a read cycle of 8 bits."""
-        return self._read(IN8, port)
+        return self._request_read(IN8, port)
 
     def out16(self, port: int, value: int) -> _W:
         """Make a write cycle of 16 bits.
@@ -146,11 +146,11 @@ class _Requests(Generic[_W, _R]):
             port: The port of the low byte.
             value: The value, 0 to 65535.
         """
-        return self._write(OUT16, port, value)
+        return self._request_write(OUT16, port, value)
 
     def in16(self, port: int) -> _R:
         """Make a read cycle of 16 bits."""
-        return self._read(IN16, port)
+        return self._request_read(IN16, port)
 
     def out32(self, port: int, value: int) -> _W:
         """Make two write cycles of 16 bits, the low half first.
@@ -159,27 +159,27 @@ class _Requests(Generic[_W, _R]):
             port: The port of the lowest byte.
             value: The value of 32 bits.
         """
-        return self._write(OUT32, port, value)
+        return self._request_write(OUT32, port, value)
 
     def in32(self, port: int) -> _R:
         """Make two read cycles of 16 bits, the low half first."""
-        return self._read(IN32, port)
+        return self._request_read(IN32, port)
 
     def delay_us(self, us: int) -> _W:
         """Let microseconds pass."""
-        return self._write(DELAY, us)
+        return self._request_write(DELAY, us)
 
     def spend_ns(self, ns: int) -> _W:
         """Let nanoseconds pass in which the host computes."""
-        return self._write(SPEND, ns)
+        return self._request_write(SPEND, ns)
 
     def micros(self) -> _R:
         """Read the time, us since power-up, which takes a bus cycle."""
-        return self._read(MICROS)
+        return self._request_read(MICROS)
 
     def line(self) -> _R:
         """Read whether the interrupt line is asserted (1), which takes a bus cycle."""
-        return self._read(LINE)
+        return self._request_read(LINE)
 
     def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
         """Read 8 bits until (value read & mask) == value.
@@ -194,7 +194,7 @@ class _Requests(Generic[_W, _R]):
         Returns:
             The last value read.
         """
-        return self._read(UNTIL8, port, value, times, every_us, mask)
+        return self._request_read(UNTIL8, port, value, times, every_us, mask)
 
     def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
         """Read 16 bits until (value read & mask) == value.
@@ -209,11 +209,11 @@ class _Requests(Generic[_W, _R]):
         Returns:
             The last value read.
         """
-        return self._read(UNTIL16, port, value, times, every_us, mask)
+        return self._request_read(UNTIL16, port, value, times, every_us, mask)
 
     def until_line(self, us: int) -> _R:
         """Wait until the interrupt line is asserted, `us` at most; the answer is 1 if it is, else 0."""
-        return self._read(UNTIL_LINE, us)
+        return self._request_read(UNTIL_LINE, us)
 
     def set_lines(self, axis: str, **levels: bool) -> _W:
         """Drive lines of a STEP/DIR axis at the end of one bus cycle.
@@ -227,11 +227,11 @@ class _Requests(Generic[_W, _R]):
         """
         chip, bits = self.find_lines(axis, levels)
         asserted = _combine_bits(bit for bit, level in zip(bits, levels.values(), strict=True) if level)
-        return self._write(SET_LINES, chip | WITH_CYCLE, _combine_bits(bits) << LINES_SHIFT | asserted)
+        return self._request_write(SET_LINES, chip | WITH_CYCLE, _combine_bits(bits) << LINES_SHIFT | asserted)
 
     def read_lines(self, axis: str) -> _R:
         """Read the word of all lines of a STEP/DIR axis, in one bus cycle; `find_lines` returns their bits."""
-        return self._read(READ_LINES, self.find_lines(axis)[0] | WITH_CYCLE)
+        return self._request_read(READ_LINES, self.find_lines(axis)[0] | WITH_CYCLE)
 
     def watch_lines(self, axis: str, *lines: str) -> _W:
         """Watch lines of a STEP/DIR axis: assert the interrupt line while they have other levels than at this call.
@@ -243,7 +243,7 @@ class _Requests(Generic[_W, _R]):
             *lines: Names of the lines, for example limit or origin; without names, stop watching.
         """
         chip, bits = self.find_lines(axis, lines)
-        return self._write(WATCH_LINES, chip, _combine_bits(bits))
+        return self._request_write(WATCH_LINES, chip, _combine_bits(bits))
 
     def find_lines(self, axis: str, lines: Iterable[str] = ()) -> tuple[int, list[int]]:
         """Return the number of the chip of a STEP/DIR axis, and the bits of some of its lines.
@@ -299,7 +299,7 @@ class Batch(_Requests["Batch", "Batch"]):
         self._entries += entry
         return self
 
-    _write = _read = add
+    _request_write = _request_read = add
 
     def get_lines(self) -> dict[str, Any]:
         """Return the lines of each STEP/DIR axis, as the server describes them."""
@@ -371,10 +371,10 @@ class Client(_Requests[None, int]):
         """Return an empty batch of this connection."""
         return Batch(self)
 
-    def _write(self, what: int, a: int, b: int = 0) -> None:
+    def _request_write(self, what: int, a: int, b: int = 0) -> None:
         self.batch().add(what, a, b).run()
 
-    def _read(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> int:
+    def _request_read(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> int:
         return self.batch().add(what, a, b, times, every, mask).run()[0]
 
     def line(self) -> bool:
@@ -476,10 +476,10 @@ class Client(_Requests[None, int]):
         if len(body) > MAX_BODY:
             raise ValueError(f"a frame of {len(body):,} bytes; there are up to {MAX_BODY:,}.")
         self._number = number = (self._number + 1) & 0xFFFFFFFF
-        self._send(HEAD.pack(len(body), kind, number) + body)
+        self._send_bytes(HEAD.pack(len(body), kind, number) + body)
         while True:
-            length, answered, _ = HEAD.unpack(self._receive(HEAD.size))
-            reply = self._receive(length)
+            length, answered, _ = HEAD.unpack(self._receive_bytes(HEAD.size))
+            reply = self._receive_bytes(length)
             if answered == INTERRUPT:
                 self._call_hook(WORD.unpack(reply)[0])
             elif answered == ERROR:
@@ -502,9 +502,9 @@ class Client(_Requests[None, int]):
             raise
         except BaseException as error:  # goes on where the interrupted request was made
             self._failed, message = error, f"{type(error).__name__}: {error}".encode()
-        self._send(HEAD.pack(len(message), RETURN, 0) + message)
+        self._send_bytes(HEAD.pack(len(message), RETURN, 0) + message)
 
-    def _send(self, content: bytes) -> None:
+    def _send_bytes(self, content: bytes) -> None:
         """Send all bytes. Raises ConnectionError if the server has ended."""
         try:
             self._wire.sendall(content)
@@ -518,7 +518,7 @@ class Client(_Requests[None, int]):
         who = "this connection is closed" if self._wire.fileno() < 0 else "the server has closed the connection"
         return ConnectionError(f"{who}. Make another one: connect().")
 
-    def _receive(self, size: int) -> bytes:
+    def _receive_bytes(self, size: int) -> bytes:
         """Receive exactly `size` bytes. Raises ConnectionError if the server has ended."""
         content = bytearray()
         while len(content) < size:

@@ -133,7 +133,7 @@ class Server:
         self._failed_hook = ""
         if not 0 <= port < 1 << 16:
             raise ArgumentError(f"port={port!r}: a TCP port is 0 (one that is free) to 65535.")
-        self._listener = _listen(bind, port)
+        self._listener = _open_listening_socket(bind, port)
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._notifier, self._notified = socket.socketpair()
         for end in (self._notifier, self._notified, self._listener):
@@ -148,7 +148,7 @@ class Server:
             while not self._stopping:
                 self._handle_events(self._compute_poll_timeout())
         finally:
-            for connection in list(self._connections()):
+            for connection in list(self._list_connections()):
                 self._close_connection(connection)
             self._selector.close()
             for end in (self._listener, self._notifier, self._notified):
@@ -162,7 +162,7 @@ class Server:
 
     # --- events ---
 
-    def _connections(self) -> Iterator[_Connection]:
+    def _list_connections(self) -> Iterator[_Connection]:
         return (key.data for key in self._selector.get_map().values() if key.data is not None)
 
     def _handle_events(self, seconds: float | None) -> None:
@@ -179,7 +179,7 @@ class Server:
                     self._receive_bytes(connection)
                 if events & selectors.EVENT_WRITE:
                     self._send_bytes(connection)
-        for connection in list(self._connections()):
+        for connection in list(self._list_connections()):
             self._handle_frame(connection)
             self._update_connection(connection)
 
@@ -194,7 +194,7 @@ class Server:
     def _compute_poll_timeout(self) -> float | None:
         """Return the seconds until the server has to act even if no bytes arrive; None if it only waits for bytes."""
         waits = []
-        for connection in self._connections():
+        for connection in self._list_connections():
             if self._can_handle_frame(connection) and not connection.closing and connection.has_frame():
                 return 0.0
             if connection.since is not None:
@@ -208,7 +208,7 @@ class Server:
             wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             wire.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             connection = _Connection(wire, f"{address[0]}:{address[1]}")
-            if sum(1 for _ in self._connections()) >= MAX_CONNECTIONS:
+            if sum(1 for _ in self._list_connections()) >= MAX_CONNECTIONS:
                 wire.close()
                 return
             self._selector.register(wire, selectors.EVENT_READ, connection)
@@ -329,7 +329,7 @@ class Server:
             self._refuse_connection(connection, "the first frame has to be HELLO, see docs/serve.md.", number)
             return
         _, version, role = client.GREETING.unpack(body)
-        greeted = sum(1 for other in self._connections() if other.role is not None)
+        greeted = sum(1 for other in self._list_connections() if other.role is not None)
         if version != client.VERSION:
             why = f"the host speaks version {version} of the frames, and this server version {client.VERSION}."
         elif role not in (client.DRIVE, client.OBSERVE):
@@ -407,7 +407,7 @@ class Server:
         self._returned, self._failed_hook = True, body[:1000].decode(errors="replace")
 
 
-def _listen(bind: str, port: int) -> socket.socket:
+def _open_listening_socket(bind: str, port: int) -> socket.socket:
     """Return a socket that listens on an address and port. Raises StageError if that is not possible."""
     listener = socket.socket(socket.AF_INET6 if ":" in bind else socket.AF_INET, socket.SOCK_STREAM)
     try:

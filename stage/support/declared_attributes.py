@@ -1,4 +1,4 @@
-"""`DeclaredAttributes`: objects on which a misspelled attribute is an error, and not a new attribute that nobody reads."""
+"""`DeclaredAttributes`: base class of objects on which setting a misspelled attribute raises an error."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from stage.errors import StageError
 
 
 class UnknownAttribute(StageError, AttributeError):
-    """An object has no such attribute, or it cannot be set."""
+    """Error for an attribute that an object does not have, or that cannot be set."""
 
 
 class _CompletingType(type):
-    """Type of classes whose objects get no more attributes once their constructor has returned."""
+    """Metaclass that marks an object as complete when its constructor has returned."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         instance = super().__call__(*args, **kwargs)
@@ -21,7 +21,7 @@ class _CompletingType(type):
 
 
 class DeclaredAttributes(metaclass=_CompletingType):
-    """Object whose attributes are those of its class and of its constructor. Names that begin with an underscore are free."""
+    """Base class of objects that get no new attributes after their constructor. Names that begin with an underscore are exempt."""
 
     _is_complete = False
 
@@ -31,5 +31,5 @@ class DeclaredAttributes(metaclass=_CompletingType):
         object.__setattr__(self, name, value)
 
     def _explain_unknown_attribute(self, name: str) -> str:
-        """Explain that there is no such attribute, and what to set in its place."""
+        """Return the error text for an attribute that does not exist; it says which attribute to set instead."""
         raise NotImplementedError

@@ -84,7 +84,7 @@ class AvrBus:
         self._functions = avr_core.store_port_levels.pointer, avr_core.store_port_directions.pointer
         for k, port in enumerate(used):
             for number, function in zip((PIN_ALL, DIRECTION_ALL), self._functions, strict=True):
-                avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])
+                avr.register_callback(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
 
 def parse_bus_pins(texts: str | Sequence[str]) -> BusPins:

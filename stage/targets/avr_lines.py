@@ -88,7 +88,7 @@ class AvrLines:
             row = self._ports[k]
             row["avr"], row["lines"], row["n_lines"] = avr.record.own, rows.ctypes.data, len(rows)
             for number, function in zip((PORT_REGISTER, DIRECTION_ALL), self._functions, strict=True):
-                avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])
+                avr.register_callback(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
     def _make_driven_rows(self, places: Sequence[PlacedLine]) -> np.ndarray:
         """Return the DRIVEN_LINE records of a port, those of a chip one after the other."""

@@ -106,8 +106,8 @@ class AvrUart:
             self._warning = ctypes.create_string_buffer(OVERRUN)
             u.warning = ctypes.addressof(self._warning)
             self._read_handler = avr_serial.handle_read_byte.pointer
-            avr.notify(irqs + EMPTY * IRQ.itemsize, self._read_handler, self._row)
-        avr.notify(irqs + OUTPUT * IRQ.itemsize, self._sent_handler, self._row)
+            avr.register_callback(irqs + EMPTY * IRQ.itemsize, self._read_handler, self._row)
+        avr.register_callback(irqs + OUTPUT * IRQ.itemsize, self._sent_handler, self._row)
 
     def start_receiving(self) -> None:
         """Begin to receive bytes from the board."""

@@ -165,9 +165,9 @@ class Cortex(UnicornProcessor):
     def main(self) -> int:
         """Run the program from its reset vector; return its exit code."""
         vectors = self.nvic.vectors
-        self.set(msp=self.read_word(vectors), sp=self.read_word(vectors), lr=RESET, xpsr=_THUMB)
+        self.set_registers(msp=self.read_word(vectors), sp=self.read_word(vectors), lr=RESET, xpsr=_THUMB)
         self._pc = self.read_word(vectors + 4) & ~1
-        self.set(pc=self._pc | 1)
+        self.set_registers(pc=self._pc | 1)
         return super().main()
 
     def get_start_address(self) -> int:
@@ -184,11 +184,11 @@ class Cortex(UnicornProcessor):
 
     def handle_debugger_stop(self) -> None:
         """Store the program counter when a debugger stops the processor."""
-        self._pc = self.get("pc") & ~1
+        self._pc = self.get_register("pc") & ~1
 
     def describe_location(self) -> str:
         """Return the source line of the program counter."""
-        return self._elf.describe_address(self.get("pc") & ~1)
+        return self._elf.describe_address(self.get_register("pc") & ~1)
 
     def _store_exception(self, _uc: Any, number: int, _user: Any) -> None:
         """Store the number of an exception, which `handle_stop` handles. Unicorn calls this."""
@@ -198,7 +198,7 @@ class Cortex(UnicornProcessor):
     def handle_stop(self) -> None:
         """Handle a stop of Unicorn: enter or leave the exception that caused it, or wait for an interrupt."""
         number, self._raised = self._raised, 0
-        primask, basepri, pc = self._masks.get()
+        primask, basepri, pc = self._masks.read_all()
         self._pc = pc & ~1
         t = self.record
         if number:
@@ -239,14 +239,14 @@ class Cortex(UnicornProcessor):
 
     def _describe_exception(self, number: int) -> str:
         """Describe an exception that ends the program for an error message."""
-        if number == _UNDEFINED and not self.get("xpsr") & _THUMB:
+        if number == _UNDEFINED and not self.get_register("xpsr") & _THUMB:
             number = _NO_THUMB
         words = _EXCEPTIONS.get(number, f"exception {number} of Unicorn")
         window = next((w for w in self._windows_of_board if w.address <= self._pc < w.end), None)
         if number == _NO_CODE and window is not None:
             words = f"it jumps into the window {window}, where the chips are and no code"
         if number in (_NO_CODE, _NO_THUMB):
-            words += f" (lr is {self._elf.describe_address(self.get('lr') & ~1)})"
+            words += f" (lr is {self._elf.describe_address(self.get_register('lr') & ~1)})"
         return words
 
     def _enter_exception(self, number: int) -> None:
@@ -255,30 +255,30 @@ class Cortex(UnicornProcessor):
         if not routine & 1:
             raise self.make_error(f"exception {number} comes, and its vector is {routine:X}h, which is no routine")
         handler = bool(self.nvic.get_active_exception())
-        control, sp, xpsr, *words = self._interrupted.get()
+        control, sp, xpsr, *words = self._interrupted.read_all()
         process = not handler and control & 2
         padded = sp & 4
         begin = (sp - padded - _FRAME.size) & 0xFFFFFFFF
         frame = _FRAME.pack(*words, self._pc, xpsr | _THUMB | (0x200 if padded else 0))
         self.uc.mem_write(begin, frame)
         back = _RETURN | (0x11 if handler else 0x1D if process else 0x19)
-        self._entry.set(begin, number, back, routine)
+        self._entry.write_all(begin, number, back, routine)
         self._pc = routine & ~1
         self.nvic.enter_exception(number)
 
     def _leave_exception(self, value: int) -> None:
         """Return from an exception after a jump to EXC_RETURN."""
         self.nvic.leave_exception(self.nvic.get_active_exception())
-        self._mode.set(0 if value & 8 else self.nvic.get_active_exception())
+        self._mode.write_all(0 if value & 8 else self.nvic.get_active_exception())
         if value & 8:
-            control = self.get("control")
+            control = self.get_register("control")
             if bool(control & 2) != (value & 0xC == 0xC):
-                self.set(control=control ^ 2)
-        sp = self.get("sp")
+                self.set_registers(control=control ^ 2)
+        sp = self.get_register("sp")
         *words, pc, xpsr = _FRAME.unpack(self.uc.mem_read(sp, _FRAME.size))
         xpsr_now = xpsr & ~0x3FF | (0 if value & 8 else self.nvic.get_active_exception())
         self._pc = pc & ~1
-        self._exit.set(sp + _FRAME.size + (4 if xpsr & 0x200 else 0), xpsr_now, *words, self._pc | 1)
+        self._exit.write_all(sp + _FRAME.size + (4 if xpsr & 0x200 else 0), xpsr_now, *words, self._pc | 1)
 
     def _group_registers(self, names: str) -> Registers:
         """Return a group of registers, given by their names in one text."""
@@ -327,7 +327,7 @@ class Semihosting:
     def execute_request(self) -> None:
         """Execute the request whose number and parameter are in r0 and r1."""
         cpu = self._cpu
-        what, about = cpu.get("r0"), cpu.get("r1")
+        what, about = cpu.get_register("r0"), cpu.get_register("r1")
         answer = 0
         if what == _CHAR:
             cpu.log_text(chr(cpu.uc.mem_read(about, 1)[0]))
@@ -349,7 +349,7 @@ class Semihosting:
             cpu.end(code - (1 << 32) if code >> 31 else code)
         elif what not in (_CLOSE, _LENGTH, _ERROR, _HEAP):
             answer = _FAILED
-        cpu.set(r0=answer)
+        cpu.set_registers(r0=answer)
 
     def _read_text(self, address: int) -> str:
         """Return the text at an address up to its zero byte."""

@@ -68,7 +68,9 @@ class DebugRegisters:
         """
         if n >= len(self._names):
             return 0
-        return int(self._cpu.get_program_counter() if self._names[n] == self._pc else self._cpu.get(self._names[n]))
+        return int(
+            self._cpu.get_program_counter() if self._names[n] == self._pc else self._cpu.get_register(self._names[n])
+        )
 
     def write(self, n: int, value: int) -> None:
         """Write a register, unless the processor does not have it.
@@ -82,7 +84,7 @@ class DebugRegisters:
         if self._names[n] == self._pc:
             self._cpu.set_program_counter(value)
         else:
-            self._cpu.set(**{self._names[n]: value})
+            self._cpu.set_registers(**{self._names[n]: value})
 
 
 def make_cortex_registers(cpu: Any) -> DebugRegisters:

@@ -167,7 +167,7 @@ class Pc(UnicornProcessor):
             raise LibraryError(f"{path} has {len(content):,} bytes: a .COM has 1 to 65,024.")
         self.write(PREFIX_SEGMENT, 0x100, content)
         self.write(PREFIX_SEGMENT, 0xFFFE, b"\0\0")
-        self.set(
+        self.set_registers(
             cs=PREFIX_SEGMENT,
             ds=PREFIX_SEGMENT,
             es=PREFIX_SEGMENT,
@@ -196,7 +196,9 @@ class Pc(UnicornProcessor):
                 raise LibraryError(f"{path} is damaged: relocation {k} points behind its end.")
             struct.pack_into("<H", image, at, (struct.unpack_from("<H", image, at)[0] + begin) & 0xFFFF)
         self.write(begin, 0, bytes(image))
-        self.set(cs=begin + cs, ip=ip, ss=begin + ss, sp=sp, ds=PREFIX_SEGMENT, es=PREFIX_SEGMENT, eflags=_IF | 2)
+        self.set_registers(
+            cs=begin + cs, ip=ip, ss=begin + ss, sp=sp, ds=PREFIX_SEGMENT, es=PREFIX_SEGMENT, eflags=_IF | 2
+        )
 
     # --- interrupts ---
 
@@ -214,15 +216,15 @@ class Pc(UnicornProcessor):
 
     def get_start_address(self) -> int:
         """Return the linear address of CS:IP."""
-        return (self.get("cs") << 4) + self.get("ip")
+        return (self.get_register("cs") << 4) + self.get_register("ip")
 
     def set_program_counter(self, address: int) -> None:
         """Set the program counter, for a debugger."""
-        self.set(ip=address - (self.get("cs") << 4) & 0xFFFF)
+        self.set_registers(ip=address - (self.get_register("cs") << 4) & 0xFFFF)
 
     def describe_location(self) -> str:
         """Return CS:IP and the offset that appears in the linker's map."""
-        cs, ip = self.get("cs"), self.get("ip")
+        cs, ip = self.get_register("cs"), self.get_register("ip")
         return f"{cs:04X}:{ip:04X} (offset {((cs - PREFIX_SEGMENT) << 4) + ip:X}h of its segment)"
 
     def handle_stop(self) -> None:
@@ -232,8 +234,12 @@ class Pc(UnicornProcessor):
             number, self._call = self._call, None
             self._enter_interrupt(number)
             return
-        halted = self.read(self.get("cs"), self.get("ip") - 1, 1) == b"\xf4" and not t.raised and t.cycles < t.alarm
-        if halted and not self.get("eflags") & _IF:
+        halted = (
+            self.read(self.get_register("cs"), self.get_register("ip") - 1, 1) == b"\xf4"
+            and not t.raised
+            and t.cycles < t.alarm
+        )
+        if halted and not self.get_register("eflags") & _IF:
             raise self.make_error("it halts for ever, with interrupts off")
         if halted:
             wait.c(t.own)
@@ -243,15 +249,19 @@ class Pc(UnicornProcessor):
 
     def _enter_interrupt(self, number: int) -> None:
         """Begin the routine of an interrupt."""
-        flags, sp = self.get("eflags"), (self.get("sp") - 6) & 0xFFFF
-        self.write(self.get("ss"), sp, struct.pack("<HHH", self.get("ip"), self.get("cs"), flags & 0xFFFF))
+        flags, sp = self.get_register("eflags"), (self.get_register("sp") - 6) & 0xFFFF
+        self.write(
+            self.get_register("ss"),
+            sp,
+            struct.pack("<HHH", self.get_register("ip"), self.get_register("cs"), flags & 0xFFFF),
+        )
         offset, segment = self.read_vector(number)
-        self.set(sp=sp, eflags=flags & ~0x300, cs=segment, ip=offset)
+        self.set_registers(sp=sp, eflags=flags & ~0x300, cs=segment, ip=offset)
 
     def _enter_pending_interrupt(self) -> None:
         """Enter the routine of a pending interrupt, of the timer or the board's line, if interrupts are enabled."""
         t = self.record
-        if not self.get("eflags") & _IF:
+        if not self.get_register("eflags") & _IF:
             t.device_waits = self._tick_pending
             return
         if self._tick_pending and not self._masked & 1 and not self._in_service & 1:

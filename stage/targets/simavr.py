@@ -353,7 +353,7 @@ class LoadedAvr:
         """Set the level of a simavr IRQ."""
         self._simavr.library["avr_raise_irq"](ctypes.c_void_p(irq), level)
 
-    def notify(self, irq: int, function: Any, row: np.ndarray) -> None:
+    def register_callback(self, irq: int, function: Any, row: np.ndarray) -> None:
         """Register a compiled function that simavr calls when an IRQ changes.
 
         Args:
@@ -503,9 +503,9 @@ class InterruptVectors:
             Address to which vectors without routines lead, or -1 if there is none.
         """
         size = 2 if self._flash <= _ONE_WORD else 4
-        targets = {find_target(code, n * size, self._flash) for n in self._running}
+        targets = {find_jump_target(code, n * size, self._flash) for n in self._running}
         for place in sorted(targets):
-            if place > 0 and find_target(code, place, self._flash) == 0:
+            if place > 0 and find_jump_target(code, place, self._flash) == 0:
                 self._library["avr_loadcode"](ctypes.c_void_p(self._avr), NO_INSTRUCTION, 2, place)
                 return place
         return -1
@@ -519,15 +519,15 @@ class InterruptVectors:
         """Return the address to which the interrupt routine would return."""
         read = self._library["avr_core_watch_read"]
 
-        def byte(at: int) -> int:
+        def read_byte(at: int) -> int:
             return int(read(ctypes.c_void_p(self._avr), ctypes.c_uint16(at))) & 0xFF
 
-        stack = byte(_STACK_POINTER) | byte(_STACK_POINTER + 1) << 8
+        stack = read_byte(_STACK_POINTER) | read_byte(_STACK_POINTER + 1) << 8
         size = 3 if self._flash > _THREE_BYTES else 2
-        return 2 * sum(byte(stack + 1 + k) << 8 * (size - 1 - k) for k in range(size))
+        return 2 * sum(read_byte(stack + 1 + k) << 8 * (size - 1 - k) for k in range(size))
 
 
-def find_target(code: bytes, at: int, flash: int) -> int:
+def find_jump_target(code: bytes, at: int, flash: int) -> int:
     """Return the target of a jump instruction, or -1 if the instruction is no jump.
 
     Args:

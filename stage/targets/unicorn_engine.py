@@ -47,12 +47,12 @@ class Registers:
         begin = ctypes.addressof(self._values)
         self._pointers = (ctypes.c_void_p * n)(*(begin + 8 * k for k in range(n)))
 
-    def get(self) -> list[int]:
+    def read_all(self) -> list[int]:
         """Return the values of the registers."""
         self._lib.uc_reg_read_batch(self._handle, self._numbers, self._pointers, self._n)
         return [value & 0xFFFFFFFF for value in self._values]
 
-    def set(self, *values: int) -> None:
+    def write_all(self, *values: int) -> None:
         """Set the registers, in their order."""
         self._values[:] = list(values)
         self._lib.uc_reg_write_batch(self._handle, self._numbers, self._pointers, self._n)
@@ -124,11 +124,11 @@ class UnicornProcessor:
         """Return the number of a register, for example "r0"."""
         return int(self._constants[self.REGISTER_PREFIX + name.upper()])
 
-    def get(self, name: str) -> int:
+    def get_register(self, name: str) -> int:
         """Return the value of a register."""
         return int(self.uc.reg_read(self.find_register_number(name)))
 
-    def set(self, **values: int) -> None:
+    def set_registers(self, **values: int) -> None:
         """Set registers."""
         for name, value in values.items():
             self.uc.reg_write(self.find_register_number(name), value)

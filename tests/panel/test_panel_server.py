@@ -133,12 +133,12 @@ def test_until_watched_waits_for_a_browser(served):
 
 def test_a_port_that_cannot_be_had_says_what_to_do(served):
     with pytest.raises(StageError, match=rf"^127\.0\.0\.1:{served.panel.port}: .*in use\. Choose another port, or 0"):
-        server._listen("127.0.0.1", served.panel.port)
+        server._open_listening_socket("127.0.0.1", served.panel.port)
     with pytest.raises(StageError, match=r"^203\.0\.113\.9:0: .*\. --host takes an address of this machine"):
-        server._listen("203.0.113.9", 0)
+        server._open_listening_socket("203.0.113.9", 0)
     for port in (-1, 65536):
         with pytest.raises(ArgumentError, match=f"port={port}: a TCP port is 0"):
-            server._listen("127.0.0.1", port)
+            server._open_listening_socket("127.0.0.1", port)
 
 
 @pytest.mark.parametrize(("host", "reachable"), [("0.0.0.0", "127.0.0.1"), ("::", "::1"), ("192.0.2.7", "192.0.2.7")])

@@ -171,8 +171,8 @@ def test_no_bus_cycle_is_cut_into(session):
 
     driver = Driver(drive)
     while driver.is_alive():
-        observers.append(session.do(lambda stage: trace.update()))
-    session.do(lambda stage: trace.update())
+        observers.append(session.do(lambda stage: trace.add_new_entries()))
+    session.do(lambda stage: trace.add_new_entries())
     assert len(observers) >= 10
     assert trace.lines[-1].number == len(sent)
     assert [line.datum for line in trace.lines] == sent[-len(trace.lines) :]

@@ -68,13 +68,13 @@ def test_a_pace_is_measured_over_a_quarter_of_a_second_and_more(real):
     clock = RealTimeClock(3.0, 0)
     assert clock.achieved_speed == 3.0
     real.now += 0.2
-    clock.measure(100 * MS)
+    clock.update_achieved_speed(100 * MS)
     assert clock.achieved_speed == 3.0
     real.now += 0.2
-    clock.measure(100 * MS)
+    clock.update_achieved_speed(100 * MS)
     assert clock.achieved_speed == pytest.approx(0.25)
     real.now += 0.5
-    clock.measure(1100 * MS)
+    clock.update_achieved_speed(1100 * MS)
     assert clock.achieved_speed == pytest.approx(2.0), "since the last that was taken"
 
 

@@ -36,7 +36,7 @@ class RowOnPage:
         page.within(build)
 
     def update(self, value):
-        self.page.within(lambda: self.row.update({self.place.name: value, "another": 1}))
+        self.page.within(lambda: self.row.show_chip_values({self.place.name: value, "another": 1}))
 
     def open(self):
         self.page.click("fields-made")
@@ -136,7 +136,7 @@ def test_a_value_that_changes_flashes_and_another_axis_does_not(make_row):
         row.update(value)
         observed.append(row.flash)
     assert observed == [[], [], ["flash-a"], ["flash-a"], ["flash-b"], ["flash-a"]]
-    row.row.update({"another": 3})
+    row.row.show_chip_values({"another": 3})
     assert row.text == "8"
     row.row.forget_value()
     row.update(9)
@@ -357,18 +357,18 @@ def test_a_readable_word_lights_its_lamps_and_is_hidden_without_a_value(page):
             f"b{f.bits} {f.name}: {f.text} [{f.evidence}]" for f in place.fields
         ]
         for value in ((1 << place.bits) - 1, 0, 0x55 & (1 << place.bits) - 1):
-            row.update({place.name: value})
+            row.show_chip_values({place.name: value})
             assert row._line.visible
             assert row._head.text == f"{place.name} {format_value(place, value)}"
             assert [(lamp.text, "on" in lamp.classes) for _, lamp in row._lamps] == [
                 describe_lamp(f, f.extract(value)) for f in place.fields
             ]
-        row.update({})
+        row.show_chip_values({})
         assert not row._line.visible
-        row.update({place.name: 1})
+        row.show_chip_values({place.name: 1})
         row.forget_value()
         row._head.text = "of another axis"
-        row.update({place.name: 1})
+        row.show_chip_values({place.name: 1})
         assert row._head.text == f"{place.name} {format_value(place, 1)}"
         page.within(box.delete)
 

@@ -249,7 +249,9 @@ def test_a_stage_without_axes_has_no_samples():
     stage = SimpleNamespace(
         axes={}, chips=[], model=SimpleNamespace(nq=0), state=state, loop=SimpleNamespace(recording=None)
     )
-    session = SimpleNamespace(stage=stage, do=lambda order: calls.append(order) or order(stage), on_slice=calls.append)
+    session = SimpleNamespace(
+        stage=stage, do=lambda order: calls.append(order) or order(stage), call_after_slices=calls.append
+    )
     sampler = Sampler(session)
     assert (sampler.traces, calls, sampler.last_time) == ({}, [], -1.0)
     sampler.close()

@@ -73,7 +73,7 @@ def first():
 @pytest.fixture(scope="module")
 def file(first, tmp_path_factory):
     path = tmp_path_factory.mktemp("shared") / "panel.zip"
-    path.write_bytes(saved_panel.save(first.panel))
+    path.write_bytes(saved_panel.save_panel(first.panel))
     return path
 
 
@@ -83,8 +83,8 @@ def test_a_file_with_another_motor_continues_bit_for_bit(tmp_path):
         saved.after(move)
         saved.panel.fault_controls.make_fault("motor", "x", {"motor": "SS2422-5041"})
         saved.after(lambda stage: stage.run(0.01))
-        path.write_bytes(saved_panel.save(saved.panel))
-        saved_panel.restore(opened.panel, saved_panel.read(path))
+        path.write_bytes(saved_panel.save_panel(saved.panel))
+        saved_panel.restore_panel(opened.panel, saved_panel.read_saved_panel(path))
         assert opened.session.stage.axes["x"].drive.motor.name == "SS2422-5041"
         ends = [paused_panel.after(lambda stage: stage.run(0.3)) for paused_panel in (saved, opened)]
         assert np.array_equal(*ends)
@@ -99,7 +99,7 @@ def test_a_file_with_another_motor_continues_bit_for_bit(tmp_path):
 def test_a_restored_panel_continues_bit_for_bit(first, file):
     other = PausedPanel()
     try:
-        saved_panel.restore(other.panel, saved_panel.read(file))
+        saved_panel.restore_panel(other.panel, saved_panel.read_saved_panel(file))
         end = first.session.do(lambda stage: stage.now) + 500_000_000
         assert np.array_equal(
             first.after(lambda stage: stage.run_to(end)), other.after(lambda stage: stage.run_to(end))
@@ -118,12 +118,12 @@ def test_a_panel_restored_from_a_file_saves_the_start_of_that_program(tmp_path, 
     try:
         first.after(move)
         first.session.do(lambda stage: first.panel.observer.update_views(stage))
-        path.write_bytes(saved_panel.save(first.panel))
-        began = saved_panel.read(path).start
+        path.write_bytes(saved_panel.save_panel(first.panel))
+        began = saved_panel.read_saved_panel(path).start
         assert 0 < began[0] <= first.session.do(lambda stage: stage.now)
-        saved_panel.restore(other.panel, saved_panel.read(path))
-        path.write_bytes(saved_panel.save(other.panel))
-        again = saved_panel.read(path).start
+        saved_panel.restore_panel(other.panel, saved_panel.read_saved_panel(path))
+        path.write_bytes(saved_panel.save_panel(other.panel))
+        again = saved_panel.read_saved_panel(path).start
         assert (again[0], again[1].state.tobytes()) == (began[0], began[1].state.tobytes())
     finally:
         for paused_panel in (first, other):
@@ -138,8 +138,8 @@ def test_loads_and_faults_go_with_it(tmp_path):
         one.panel.fault_controls.make_fault("switch_stuck", "y", {"pin": "org", "closed": "yes"})
         one.after(move)
         path = tmp_path / "broken.zip"
-        path.write_bytes(saved_panel.save(one.panel))
-        saved_panel.restore(other.panel, saved_panel.read(path))
+        path.write_bytes(saved_panel.save_panel(one.panel))
+        saved_panel.restore_panel(other.panel, saved_panel.read_saved_panel(path))
         assert other.session.stage.faults == one.session.stage.faults
         assert other.panel.fault_controls.payload == 0.5
         assert np.array_equal(*(paused_panel.after(lambda stage: stage.run(0.3)) for paused_panel in (one, other)))
@@ -158,7 +158,7 @@ def played(text):
 
 
 def test_the_program_in_python_makes_the_same_bits(file):
-    shared = saved_panel.read(file)
+    shared = saved_panel.read_saved_panel(file)
     with zipfile.ZipFile(file) as saved:
         stage = played(saved.read("program.py").decode())
     stage.state.world[0].to_sample = 1  # samples are taken on a panel: one more physics step until the next
@@ -205,7 +205,7 @@ def test_the_program_as_a_test_passes(file, tmp_path):
 def test_the_program_in_c_does_the_same(file, tmp_path):
     from stage.board import Board, NativeHost, NoCompilerError
 
-    shared = saved_panel.read(file)
+    shared = saved_panel.read_saved_panel(file)
     with zipfile.ZipFile(file) as saved:
         saved.extract("program.c", tmp_path)
     stage, reference = Stage("xy", chips="pcl240ms"), Stage("xy", chips="pcl240ms")
@@ -225,11 +225,11 @@ def test_a_stage_of_another_program_can_be_saved_but_not_written_as_a_program(tm
         paused_panel.after(move)
         with pytest.raises(StageError, match="a program of yours has made this stage"):
             saved_panel.write_program(paused_panel.panel, "program.py")
-        data = saved_panel.save(paused_panel.panel)
+        data = saved_panel.save_panel(paused_panel.panel)
         assert "program.py" not in zipfile.ZipFile(io.BytesIO(data)).namelist()
         path = tmp_path / "own.zip"
         path.write_bytes(data)
-        saved_panel.restore(paused_panel.panel, saved_panel.read(path))
+        saved_panel.restore_panel(paused_panel.panel, saved_panel.read_saved_panel(path))
     finally:
         paused_panel.close()
 
@@ -237,10 +237,10 @@ def test_a_stage_of_another_program_can_be_saved_but_not_written_as_a_program(tm
 def test_another_file_is_refused(tmp_path, file):
     bad = tmp_path / "bad.zip"
     with pytest.raises(ArgumentError, match="there is no file of a panel"):
-        saved_panel.read(bad)
+        saved_panel.read_saved_panel(bad)
     bad.write_bytes(b"PK nothing")
     with pytest.raises(ArgumentError, match="no file of a panel"):
-        saved_panel.read(bad)
+        saved_panel.read_saved_panel(bad)
     reported = json.loads(zipfile.ZipFile(file).read("panel.json"))
     for change in ({"format": 99}, {"made": {"model": 5}}, {"program": [[1, 2]]}, {"faults": 3}):
         with zipfile.ZipFile(bad, "w") as out:
@@ -248,7 +248,7 @@ def test_another_file_is_refused(tmp_path, file):
             for name in ("start.snapshot", "now.snapshot"):
                 out.writestr(name, zipfile.ZipFile(file).read(name))
         with pytest.raises(ArgumentError, match=r"format 99|no file of a panel"):
-            saved_panel.read(bad)
+            saved_panel.read_saved_panel(bad)
 
 
 @pytest.mark.parametrize(

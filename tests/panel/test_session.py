@@ -157,7 +157,7 @@ def test_an_order_at_the_end_of_the_session_gets_an_error():
             delayed.append(session.post(lambda stage: stage.now))
             session.close()
 
-    session.do(lambda stage: session.on_slice(ends))
+    session.do(lambda stage: session.call_after_slices(ends))
     until(lambda: delayed)  # the observers are called after the order has its result
     with pytest.raises(StageError, match="this session is over"):
         delayed[0].result(10)
@@ -382,7 +382,7 @@ def test_a_program_that_lets_time_pass_otherwise_waits_for_real_time():
     stage = Stage("xy", visuals=False)
     with Session(stage, speed=0.2, program="a board") as session:
         session.catch_up()
-        assert session.slice_s == pytest.approx(0.02 * 0.2)
+        assert session.catch_up_interval_s == pytest.approx(0.02 * 0.2)
         begin = time.monotonic()
         session._clock.restart(stage.now - 20_000_000)  # 20 ms too far, which take 0.1 s
         session.catch_up()

@@ -162,7 +162,7 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
                 session.paused = True
                 requested.append(stage.now)
 
-        session.on_slice(interrupt)
+        session.call_after_slices(interrupt)
         try:
             action = session.act(name, lambda stage: PROCEDURES[name](x, y))
             end = time.monotonic() + MAX_WAIT_S

@@ -110,7 +110,7 @@ def test_a_host_that_polls_has_one_line_that_counts():
     stage = Stage("xy", chips="hctl1100", visuals=False)
     trace, x = BusTrace(stage.chips[0]), stage.axes["x"]
     firmware.move(x, distance=0.002)
-    trace.update()
+    trace.add_new_entries()
     last = [line for line in trace.lines if line.address == 0x14][-1]
     assert last.times > 10
     assert last.format(2).endswith(f"  x {last.times}")
@@ -125,7 +125,7 @@ def test_a_host_that_polls_has_one_line_that_counts():
     assert [(line.kind, line.times) for line in trace.lines_after(line.number)] == [("W", 1), ("R", 1)]
     for _ in range(2):
         x.chip.write(0x22, 0x40)
-    trace.update()
+    trace.add_new_entries()
     assert [line.times for line in trace.lines][-2:] == [1, 1], "what is written stands for itself"
 
 

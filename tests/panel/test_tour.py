@@ -68,7 +68,7 @@ class Slices:
         self.stage = stage
         stage.loop.pace = self.pace
 
-    def on_slice(self, look):
+    def call_after_slices(self, look):
         self.looks = (look,)
         return lambda: setattr(self, "looks", ())
 
@@ -124,7 +124,7 @@ class Watched:
         axis.switches = SimpleNamespace(as_dict=lambda: {"org": axis.org, "el_plus": True})
         return axis
 
-    def on_slice(self, look):
+    def call_after_slices(self, look):
         return lambda: None
 
     def passes(self, seconds, **rates):

@@ -113,16 +113,21 @@ def cortex():
 def test_the_frame_of_an_exception_is_aligned_and_removed(cortex, odd):
     """The data sheet's xPSR bit 9 says that the stack was 4 bytes lower before"""
     sp = 0x20001000 + odd
-    cortex.set(msp=sp, sp=sp, lr=0x08000201, r0=7, xpsr=0x01000000)
+    cortex.set_registers(msp=sp, sp=sp, lr=0x08000201, r0=7, xpsr=0x01000000)
     cortex._pc = 0x08000040
     cortex._enter_exception(SYSTICK)
     begin = 0x20001000 - 32
-    assert (cortex.get("sp"), cortex.get("ipsr"), cortex._pc) == (begin, SYSTICK, 0x08000100)
+    assert (cortex.get_register("sp"), cortex.get_register("ipsr"), cortex._pc) == (begin, SYSTICK, 0x08000100)
     assert [cortex.read_word(begin + 4 * k) for k in (0, 5, 6)] == [7, 0x08000201, 0x08000040]
     assert cortex.read_word(begin + 28) >> 9 & 1 == (odd != 0)
-    cortex.set(r0=0)
-    cortex._leave_exception(cortex.get("lr"))
-    assert (cortex.get("sp"), cortex.get("ipsr"), cortex.get("r0"), cortex._pc) == (sp, 0, 7, 0x08000040)
+    cortex.set_registers(r0=0)
+    cortex._leave_exception(cortex.get_register("lr"))
+    assert (cortex.get_register("sp"), cortex.get_register("ipsr"), cortex.get_register("r0"), cortex._pc) == (
+        sp,
+        0,
+        7,
+        0x08000040,
+    )
 
 
 def test_private_registers_can_be_read_by_bytes_and_halfwords(cortex):

@@ -20,18 +20,18 @@ class PC:
 
     def __init__(self, **registers: int):
         self.words = {**dict.fromkeys(("ax", "bx", "cx", "dx", "ds", "es"), 0), "eflags": 2}
-        self.set(**registers)
+        self.set_registers(**registers)
         self.memory = bytearray(1 << 20)
         self.printed, self.exit_code, self.fault, self.watched = "", None, "", 0
         self.record = SimpleNamespace(cycles=0, hz=4_772_727, due=None)
         self.stopped = False
 
-    def get(self, name):
+    def get_register(self, name):
         if name[1] in "hl":
             return self.words[name[0] + "x"] >> (8 if name[1] == "h" else 0) & 0xFF
         return self.words[name]
 
-    def set(self, **values):
+    def set_registers(self, **values):
         for name, value in values.items():
             assert 0 <= value < (1 << (8 if name[1] in "hl" else 32 if name == "eflags" else 16)), (name, value)
             if name[1] in "hl":
@@ -65,7 +65,7 @@ class PC:
         self.exit_code = code
 
     def serve(self, number, **registers):
-        self.set(**registers)
+        self.set_registers(**registers)
         before = dict(self.words)
         Dos(self).execute_interrupt(number)
         return {name: value for name, value in self.words.items() if value != before[name]}
@@ -121,11 +121,11 @@ def test_time_follows_the_cycles_of_the_processor():
     seconds = 25 * 3600 + 62.034
     pc.record.cycles = round(seconds * pc.record.hz)
     pc.serve(0x21)
-    assert [pc.get(name) for name in ("ch", "cl", "dh", "dl")] == [1, 1, 2, 3]
+    assert [pc.get_register(name) for name in ("ch", "cl", "dh", "dl")] == [1, 1, 2, 3]
     assert pc.serve(0x21, ax=0x2A00) == {"ax": 0x2A06, "cx": 1995, "dx": 0x0701}
     pc.serve(0x1A, ax=0x0055)
     ticks = int(seconds * HZ / FULL)
-    assert [pc.get(name) for name in ("cx", "dx", "al")] == [ticks >> 16, ticks & 0xFFFF, 0]
+    assert [pc.get_register(name) for name in ("cx", "dx", "al")] == [ticks >> 16, ticks & 0xFFFF, 0]
     assert ticks >> 16 == 25 * 3600 * HZ // FULL >> 16 > 0
     assert pc.serve(0x1A, ax=0x0155) == {}, "the clock is not set"
     for cx, dx in ((0, 3), (2, 0), (1, 0xFFFF)):
@@ -135,7 +135,7 @@ def test_time_follows_the_cycles_of_the_processor():
     before = pc.record.cycles
     assert pc.serve(0x15, ax=0x8600, cx=1, dx=1, eflags=2 | CARRY) == {"eflags": 2}
     assert pc.record.cycles - before == 65537 * pc.record.hz // 1_000_000
-    assert (pc.record.due, pc.get("eflags")) == (pc.record.cycles, 2)
+    assert (pc.record.due, pc.get_register("eflags")) == (pc.record.cycles, 2)
     before = pc.record.cycles
     pc.serve(0x15, ax=0x8700)
     assert pc.record.cycles == before

@@ -16,7 +16,7 @@ from stage.targets.cortex import Cortex
 from stage.targets.elf import check_avr
 from stage.targets.gdb import DebugServer, make_pc_registers
 from stage.targets.pc import PREFIX_SEGMENT, Pc
-from stage.targets.simavr import find_target
+from stage.targets.simavr import find_jump_target
 
 
 class ThreeRegisters:
@@ -172,8 +172,8 @@ def test_a_pc_shows_registers_of_floating_point_that_it_does_not_have():
     requested = []
     cpu = SimpleNamespace(
         get_program_counter=lambda: 0x12345,
-        get=lambda name: len(name),
-        set=lambda **v: requested.append(v),
+        get_register=lambda name: len(name),
+        set_registers=lambda **v: requested.append(v),
         set_program_counter=requested.append,
     )
     observed = make_pc_registers(cpu)
@@ -192,7 +192,7 @@ def test_an_exe_is_loaded_to_its_last_byte(last, pages, size):
     """its head says how many bytes its last page has, and 0 is all of them"""
     done = []
     pc = Pc.__new__(Pc)
-    pc.write, pc.set = lambda *argument: done.append(argument), lambda **values: done.append(values)
+    pc.write, pc.set_registers = lambda *argument: done.append(argument), lambda **values: done.append(values)
     head = b"MZ" + struct.pack("<12H", last, pages, 0, 2, 0, 0, 0x11, 0x200, 0, 0x33, 0x22, 0x1C) + b"\0" * 6
     content = head + bytes(k % 251 for k in range(size - len(head)))
     pc._load_exe(Path("x.exe"), content)
@@ -214,8 +214,8 @@ def test_a_routine_returns_to_the_stack_and_the_mode_that_it_has_come_from(handl
     cpu = Cortex.__new__(Cortex)
     cpu.read_word = {0x40 + 4 * 16: 0x201}.__getitem__
     cpu.nvic = SimpleNamespace(vectors=0x40, get_active_exception=lambda: handler, enter_exception=entered.append)
-    cpu._interrupted = SimpleNamespace(get=lambda: [control, sp, 0x40000000, 1, 2, 3, 4, 5, 6])
-    cpu._entry = SimpleNamespace(set=lambda *argument: set_.append(argument))
+    cpu._interrupted = SimpleNamespace(read_all=lambda: [control, sp, 0x40000000, 1, 2, 3, 4, 5, 6])
+    cpu._entry = SimpleNamespace(write_all=lambda *argument: set_.append(argument))
     cpu.uc, cpu._pc = (
         SimpleNamespace(mem_write=lambda at, frame: frames.append((at, struct.unpack("<8I", frame)))),
         0x124,
@@ -258,4 +258,4 @@ def test_a_program_of_a_variant_runs_and_one_of_another_processor_does_not(name,
 def test_a_jump_of_an_avr_leads_forth_and_back_and_round_its_flash(words, at, flash, leads):
     """rjmp by -1, 0, 2047 and -2048 words; jmp of 16, 17 and 18 bits; call and nop are none"""
     code = bytes(at) + struct.pack(f"<{len(words)}H", *words)
-    assert find_target(code, at, flash) == leads
+    assert find_jump_target(code, at, flash) == leads

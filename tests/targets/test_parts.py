@@ -297,10 +297,10 @@ class Bare(Pc):
         self._board = SimpleNamespace(ports={0x50: "a device"})
         self.accesses, self.fault = [], ""
 
-    def get(self, name):
+    def get_register(self, name):
         return self.words[name]
 
-    def set(self, **values):
+    def set_registers(self, **values):
         self.words |= values
 
     def read(self, segment, offset, size):
@@ -423,10 +423,10 @@ class Cpu:
         self.record = SimpleNamespace(cycles=250, hz=100)
         self.printed, self.code = "", None
 
-    def get(self, name):
+    def get_register(self, name):
         return getattr(self, name)
 
-    def set(self, r0):
+    def set_registers(self, r0):
         self.r0 = r0
 
     def read_word(self, at):

@@ -416,7 +416,7 @@ def test_the_log_of_a_line_repeats_the_run_bit_for_bit(tmp_path):
 def test_a_panel_runs_firmware_with_a_connected_line(quick_echo, tmp_path):
     quick_echo.serial.connect(read_script(write_script(tmp_path, "expect ready", "send hello", "expect hello")))
     pieces = []
-    session = SimpleNamespace(slice_s=0.004, catch_up=lambda: pieces.append(quick_echo.board.stage.time))
+    session = SimpleNamespace(catch_up_interval_s=0.004, catch_up=lambda: pieces.append(quick_echo.board.stage.time))
     assert run_in_real_time(session, quick_echo, None, 10) is None
     assert pieces
     assert quick_echo.board.stage.time < 0.02, "it ends with the script"

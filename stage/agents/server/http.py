@@ -49,7 +49,7 @@ class TokenGate:
             return
         headers = {name.decode("latin1").lower(): value.decode("latin1") for name, value in scope["headers"]}
         if not self._is_authorized(headers.get("authorization", "")):
-            await _refuse(send)
+            await _send_unauthorized(send)
             return
         key, method = headers.get(SESSION_HEADER), scope["method"]
         if key is None:
@@ -118,7 +118,7 @@ class TokenGate:
         return kind.lower() == "bearer" and secrets.compare_digest(token.strip().encode(), self._token.encode())
 
 
-async def _refuse(send: Any) -> None:
+async def _send_unauthorized(send: Any) -> None:
     headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"www-authenticate", b"Bearer")]
     await send({"type": "http.response.start", "status": 401, "headers": headers})
     await send({"type": "http.response.body", "body": UNAUTHORIZED})
@@ -162,7 +162,7 @@ class HttpServer:
         host: str = LOCAL_HOST,
     ):
         self.sessions, self.token = sessions, token or secrets.token_urlsafe(24)
-        self._socket = _listen(host, port)
+        self._socket = _open_listening_socket(host, port)
         self.port = self._socket.getsockname()[1]
         threads = max(2, os.cpu_count() or 2)
         protocol = ProtocolServer(factory, sessions, _find_session_key, sessionless=False, threads=threads)
@@ -216,7 +216,7 @@ def _add_cleanup(app: Starlette, sessions: ClientSessions) -> None:
     app.router.lifespan_context = lifespan
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def _open_listening_socket(host: str, port: int) -> socket.socket:
     """Return a socket that listens on a host and port. Raises StageError if the port is not available."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:

@@ -119,13 +119,13 @@ class ProtocolServer:
     async def _read_resource(self, ctx: Any, params: types.ReadResourceRequestParams) -> types.ReadResourceResult:
         uri = str(params.uri)
 
-        def read() -> tuple[str, str]:
+        def read_page() -> tuple[str, str]:
             box, pages = self._find_toolbox(ctx), list_pages(self._factory.catalog)
             if uri not in pages:
                 raise unknown_name_error("resource", uri, pages)
             return pages[uri].kind, pages[uri].read(box)
 
-        kind, text = await self._run_or_refuse(read)
+        kind, text = await self._run_or_refuse(read_page)
         return types.ReadResourceResult(contents=[types.TextResourceContents(uri=uri, mime_type=kind, text=text)])
 
     async def _list_prompts(self, ctx: Any, params: Any) -> types.ListPromptsResult:

@@ -26,14 +26,14 @@ def serve(factory: ToolboxFactory) -> None:
     """Serve one client until it closes standard input or standard output, or ends."""
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # desktop clients show standard error to their users
     try:
-        anyio.run(_serve, factory)
+        anyio.run(_serve_client, factory)
     except BaseExceptionGroup as group:
         if group.split(DISCONNECTED)[1] is not None:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nobody reads what is still buffered
 
 
-async def _serve(factory: ToolboxFactory) -> None:
+async def _serve_client(factory: ToolboxFactory) -> None:
     forever = float("inf")
     sessions = ClientSessions(factory, limit=1, idle_s=forever, life_s=forever)
     server = ProtocolServer(factory, sessions, lambda ctx: SESSION_KEY, sessionless=True, threads=2).server
