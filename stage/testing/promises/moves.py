@@ -216,10 +216,10 @@ def _check_registers(trial: PromiseTrial) -> None:
             first = first_values.setdefault((name, value), now)
             if now != first:
                 raise BrokenPromise(
-                    f"{name} = {value} written to axis {axis} shows as {now} in values_of({axis}), and written to axis 0 as "
-                    f"{first} in values_of(0)"
+                    f"{name} = {value} written to axis {axis} shows as {now} in axis_values({axis}), and written to axis 0 as "
+                    f"{first} in axis_values(0)"
                 )
             if others != [chip.axis_values(k).get(name) for k in range(trial.chip_class.AXES) if k != axis]:
                 raise BrokenPromise(
-                    f"{name} = {value} written to axis {axis} changes what values_of gives for another axis"
+                    f"{name} = {value} written to axis {axis} changes what axis_values gives for another axis"
                 )
