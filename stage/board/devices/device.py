@@ -141,9 +141,9 @@ class Device:
         """Return the arrays that snapshots include."""
         return [self.interrupt_start_ns, *self.state]
 
-    def use_arrays(self, places: list[np.ndarray]) -> None:
+    def use_arrays(self, arrays: list[np.ndarray]) -> None:
         """Replace the arrays of `list_arrays` by these arrays from now on."""
-        interrupt_start_ns, *state = places
+        interrupt_start_ns, *state = arrays
         self.interrupt_start_ns = interrupt_start_ns.view(np.int64)
         pairs = zip(self.state, state, strict=True)
         self.state = [place.view(before.dtype).reshape(before.shape) for before, place in pairs]

@@ -86,7 +86,11 @@ class ChipPort:
         self.chip.write(0, (self.bit << 8 if c.axes else 0) | c.code)
 
     def write_parameters(self, **values: int) -> None:
-        """Write parameters and modes by name: SV, DV, TP, H1M, IPM ... Raises ArgumentError, before the first bus cycle."""
+        """Write parameters and modes by name: SV, DV, TP, H1M, IPM ...
+
+        Raises:
+            ArgumentError: A name or a value is wrong; no bus cycle has been made.
+        """
         for name, value in [(n, self.map.check_value(n, v)) for n, v in values.items()]:
             for cycle in self.chip.register_cycles(name, value, self.axis.chip_axis):
                 self.chip.write(*cycle)
@@ -123,11 +127,11 @@ class ChipPort:
         return word - (word >> 31 << 32)
 
     def read_position(self) -> int:
-        """Read LP, pulses."""
+        """Read the logical position counter LP, pulses."""
         return self.read_value("R-LP")
 
     def read_speed(self) -> int:
-        """Read CV, in the unit of the drive speed."""
+        """Read the current speed CV, in the unit of the drive speed."""
         return self.read_value("CV")
 
     def is_driving(self) -> bool:
