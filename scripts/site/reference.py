@@ -86,21 +86,21 @@ def format_register_map_page(map_: RegisterMap) -> str:
     ]
     text += ["## Registers\n", "| register | bits | access | legal | evidence | |", "|---|---|---|---|---|---|"]
     text += [
-        f"| `{r.name}` | {r.bits} | {r.access} | {_format_legal_values(r)} | {r.evidence} | {_escape_cell(r.text)} |"
+        f"| `{r.name}` | {r.bits} | {r.access} | {_format_legal_values(r)} | {r.evidence} | {_escape_cell(r.description)} |"
         for r in map_.registers
     ]
     for place in map_.places:
         if place.fields:
             text += [f"\n### {place.name}\n", _escape_cell(_format_title(place)) + "\n"]
             text += ["| bits | field | evidence | |", "|---|---|---|---|"]
-            text += [f"| {f.bits} | `{f.name}` | {f.evidence} | {_escape_cell(f.text)} |" for f in place.fields]
+            text += [f"| {f.bits} | `{f.name}` | {f.evidence} | {_escape_cell(f.description)} |" for f in place.fields]
     text += ["\n## Commands\n", "| code | command | evidence | |", "|---|---|---|---|"]
     text += [f"| {c.hex} | `{c.symbol}` | {c.evidence} | {_escape_cell(c.description)} |" for c in map_.commands]
     return "\n".join(text) + "\n"
 
 
 def _format_title(place: Register | Word) -> str:
-    return place.text
+    return place.description
 
 
 def _format_legal_values(r: Register) -> str:

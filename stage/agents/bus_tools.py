@@ -10,7 +10,7 @@ from stage.agents.tool import Tool
 from stage.agents.tool_arguments import Text, argument, choice, choose, integer, list_of
 from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
-from stage.chips.describe import FieldDescriber
+from stage.chips.cycle_descriptions import FieldDescriber
 from stage.chips.register_map import EVIDENCE, Register, RegisterMap, Word, dump
 from stage.errors import ArgumentError
 
@@ -206,12 +206,12 @@ class BusTools:
 
 def list_commands(kind: type[Chip]) -> list[str]:
     """Return the names of the words that a host writes to a chip, and of its commands."""
-    return [w.name for w in kind.MAP.words if w.written] + [c.symbol for c in kind.MAP.commands]
+    return [w.name for w in kind.MAP.words if w.is_written] + [c.symbol for c in kind.MAP.commands]
 
 
 def describe_map(map_: RegisterMap) -> str:
     """Describe a register map as a table, with the values that a host usually writes into its words."""
-    sent = [f"{w.name} {code:02X}h  {text}" for w in map_.words if w.written for code, text in w.sends.items()]
+    sent = [f"{w.name} {code:02X}h  {text}" for w in map_.words if w.is_written for code, text in w.sends.items()]
     return "\n".join([dump(map_), *(["", "usual data of words:", *sent] if sent else [])])
 
 
@@ -226,12 +226,12 @@ def describe_entry(map_: RegisterMap, name: str) -> str:
     name = choose(f"{map_.chip} register, word or command", name, tuple(dict.fromkeys((*places, *commands))))
     lines = []
     if (p := places.get(name)) is not None:
-        lines.append(f"{p.name}: {p.text}")
+        lines.append(f"{p.name}: {p.description}")
         if isinstance(p, Register):
             low, high = p.range
             unit, reset = f" {p.unit}" if p.unit else "", f"; {p.reset} after reset" if p.reset is not None else ""
             lines[0] += f"; {p.bits} bits, {p.access}, {low} to {high}{unit}{reset} [{p.evidence}]"
-        lines += [f"  b{f.bits}  {f.name}  {f.access}  {f.text} [{f.evidence}]" for f in p.fields]
+        lines += [f"  b{f.bits}  {f.name}  {f.access}  {f.description} [{f.evidence}]" for f in p.fields]
         if isinstance(p, Word):
             lines += [f"  {code:02X}h  {text}" for code, text in p.sends.items()]
     if (c := commands.get(name)) is not None:
@@ -246,7 +246,7 @@ def _describe_word(place: Register | Word, value: int) -> dict[str, Any]:
         {
             "bit": f.name,
             "value": f.extract(value),
-            "means": f.describe_value(f.extract(value)) or f.text,
+            "means": f.describe_value(f.extract(value)) or f.description,
             "evidence": f.evidence,
         }
         for f in place.fields

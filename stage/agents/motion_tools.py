@@ -11,7 +11,7 @@ from stage.agents.tool import Tool
 from stage.agents.tool_arguments import Flag, Length, argument, choice, integer, make_length_mapping_type, number
 from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
-from stage.chips.describe import FieldDescriber
+from stage.chips.cycle_descriptions import FieldDescriber
 from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import DEFAULT_RAMP_S, SETTLING_TIME_S, Speeds, wait_until_stopped

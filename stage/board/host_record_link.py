@@ -138,7 +138,7 @@ class Link:
         self.check_is_current()
         stage, h = self.stage, self.record
         stage.ensure_powered()
-        stage.loop.check_options()
+        stage.loop.check_integration_options()
         h["checked_chips"] = self.find_checked_chips()
         h["reached"] = stage.now
         stage_handle.set_sample_buffers(h, stage.loop.recording)

@@ -21,7 +21,7 @@ from zlib import crc32
 import numpy as np
 
 from stage.chips import contract
-from stage.chips.describe import CycleDescriber, Decoder
+from stage.chips.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.diagnostics import (
     BUS_WIDTH,
     CLOCK_RANGE,
@@ -571,7 +571,7 @@ class Chip(DeclaredAttributes):
         Args:
             address: Address that the chip sees.
             value: Value that the chip sees.
-            requested: Address and value that the host has asked for, before masking.
+            requested: Address and value that the host has requested, before masking.
         """
         lost = self.loses_write(address, value)
         if self._bus is not None:
@@ -716,7 +716,7 @@ class Chip(DeclaredAttributes):
         if not fits:
             raise ArgumentError(f"clocks={clocks!r}: a chip advances by a whole number of 0 to {MAX_CLOCKS} clocks.")
         until = self.clock + number
-        check_clock(until)
+        check_clock_limit(until)
         return until
 
     @exclusive
@@ -851,7 +851,7 @@ class Chip(DeclaredAttributes):
         return f"<{type(self).__name__} clock={self.clock} {values}>"
 
 
-def check_clock(until: int) -> None:
+def check_clock_limit(until: int) -> None:
     """Raise ArgumentError if a chip's clock would go beyond LAST_CLOCK.
 
     Args:
@@ -900,7 +900,7 @@ def describe_masked_write(requested: tuple[int, int], on_bus: tuple[int, int]) -
     """Describe the effect of a write whose address or value does not fit the bus.
 
     Args:
-        requested: Address and value that the host has asked for.
+        requested: Address and value that the host has requested.
         on_bus: Address and value that the chip sees.
     """
     parts = []

@@ -91,6 +91,7 @@ def _check_class(chip: Any) -> list[str]:
 
 
 def _find_missing_attributes(chip: Any) -> list[str]:
+    """List the required attributes that a chip class lacks, as problems in words."""
     problems = []
     for name, kind, what in (
         ("MAP", RegisterMap, "its RegisterMap"),
@@ -132,6 +133,7 @@ def _check_class_numbers(chip: Any) -> list[str]:
 
 
 def _is_positive_integer(number: Any) -> bool:
+    """Return whether a value is an integer above 0, and not a bool."""
     return isinstance(number, int | np.integer) and not isinstance(number, bool) and int(number) >= 1
 
 
@@ -144,6 +146,7 @@ def _is_pair(value: Any, first_type: type) -> bool:
 
 
 def _check_pins(chip: Any) -> list[str]:
+    """List what is wrong with the input and output pins of a chip class."""
     problems = []
     if twice := {name for name in chip.INPUTS if name in chip.OUTPUTS}:
         problems.append(f"pin {', '.join(sorted(twice))} is an input and an output")
@@ -161,6 +164,7 @@ def _check_pins(chip: Any) -> list[str]:
 
 
 def _check_map(map_: RegisterMap) -> list[str]:
+    """List what is wrong with the register map of a chip class."""
     problems, names = [], [r.name for r in map_.registers]
     problems += [f"its MAP has two registers {name}" for name in dict.fromkeys(names) if names.count(name) > 1]
     for r in map_.registers:
@@ -204,6 +208,7 @@ def load_attribute(chip: Any, attribute: str, description: str) -> Any:
 
 
 def _check_methods(chip: Any, base: Any) -> list[str]:
+    """List the REQUIRED_METHODS that a chip class does not define."""
     return [
         f"the class has no {name}(), {what}"
         for name, what in REQUIRED_METHODS.items()
@@ -220,6 +225,7 @@ def _check_core(core: Any, chip: Any) -> list[str]:
 
 
 def _find_missing_records(core: Any) -> list[str]:
+    """List the dtypes that a core lacks, or that lack a required field."""
     problems = []
     for name, (what, fields) in REQUIRED_RECORDS.items():
         present = getattr(core, name, None)
@@ -231,6 +237,7 @@ def _find_missing_records(core: Any) -> list[str]:
 
 
 def _check_state(core: Any) -> list[str]:
+    """List what is wrong with the dtype STATE of a core."""
     problems = []
     for name in (n for n in _list_fields(core.STATE) if hasattr(np.record, n)):
         problems.append(
@@ -265,8 +272,10 @@ def _check_functions(core: Any, chip: Any) -> list[str]:
 
 
 def _format_argument(a: Any, arrays: Mapping[str, Any]) -> str:
+    """Format the type of an argument as in the decorator `exported`, for an error."""
     return f"array_of({a})" if a in arrays else repr(a) if isinstance(a, str) else f"array_of({a.dtype.str[1:]!r})"
 
 
 def _name_core(core: Any) -> str:
+    """Return the name of a core's module, for an error."""
     return getattr(core, "__name__", repr(core))

@@ -99,6 +99,7 @@ class Journal:
             self._previous.extend(packed)
 
     def _append_entry(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
+        """Append an entry unless the journal is closed, and to the journals of this chip that were opened before."""
         if self._end is None:
             self.entries.append(clock, kind, a, b, axis)
         if self._previous is not None:

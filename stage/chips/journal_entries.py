@@ -147,5 +147,6 @@ class Entries(Sequence[Entry]):
 
 
 def _unpack(words: Sequence[int]) -> Entry:
+    """Convert the words of a packed entry to an `Entry`."""
     clock, kind, a, b = words
     return Entry(clock, kind & (1 << AXIS) - 1, a, b, kind >> AXIS)

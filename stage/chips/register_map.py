@@ -112,7 +112,7 @@ class Field:
         return self.meaning if value and self.high == self.low else ""
 
     @property
-    def text(self) -> str:
+    def description(self) -> str:
         """Description of the field in a dump: its meaning, its values, its note."""
         listed = [f"{v} {text}" for v, text in self.values.items()] if self.listed else []
         values = ("; " if any("," in text for text in listed) else ", ").join(listed)
@@ -159,7 +159,7 @@ class Register:
     section: str = ""
 
     @property
-    def text(self) -> str:
+    def description(self) -> str:
         """Title and note."""
         return _join_note(self.title, self.note)
 
@@ -228,7 +228,7 @@ class Word:
     section: str = ""
 
     @property
-    def text(self) -> str:
+    def description(self) -> str:
         """Title and note."""
         return ", ".join(part for part in (self.title, self.note) if part)
 
@@ -238,7 +238,7 @@ class Word:
         return sum(f.mask for f in self.fields)
 
     @property
-    def written(self) -> bool:
+    def is_written(self) -> bool:
         """Whether a host writes the word, and the map has its address."""
         return self.address is not None and any("W" in f.access for f in self.fields)
 
@@ -420,7 +420,7 @@ class RegisterMap:
         """
         from stage.errors import ArgumentError
 
-        words = {w.name.upper(): w for w in self.words if w.written}
+        words = {w.name.upper(): w for w in self.words if w.is_written}
         known: dict[str, Command | Word] = {**words, **{name.upper(): c for name, c in self._commands.items()}}
         what = _find_in_table(known, _to_upper(symbol), f"{self.chip} command")
         if isinstance(what, Word):
@@ -546,7 +546,7 @@ def as_html(map_: RegisterMap) -> str:
     """Return the map for a notebook: registers, words and commands as tables, each field behind its register."""
 
     def fields(place: Register | Word) -> str:
-        rows = [(f"b{f.bits}", f.name, f.evidence, f.text) for f in place.fields]
+        rows = [(f"b{f.bits}", f.name, f.evidence, f.description) for f in place.fields]
         return (
             html.format_collapsible(
                 f"{place.name}: its bits", html.format_table(rows, ("bits", "field", "ev", "meaning"))
@@ -565,7 +565,7 @@ def as_html(map_: RegisterMap) -> str:
         html.format_table(registers, head),
         *map(fields, map_.registers),
     ]
-    parts += [html.format_heading(f"{w.name}: {w.text}") + fields(w) for w in map_.words]
+    parts += [html.format_heading(f"{w.name}: {w.description}") + fields(w) for w in map_.words]
     if commands:
         table = html.format_table(commands, ("code", "symbol", "kind", "bytes", "ev", "title"))
         parts.append(html.format_collapsible(f"{len(commands)} commands", table))
@@ -593,7 +593,7 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
             lines.append(_format_field(f, values.get(r.name) if values else None) + fixed)
     for w in map_.words:
         now = f" = {values[w.name]:0{w.bits // 4}X}h" if values and w.name in values else ""
-        lines += ["", f"{w.name}: {w.text}{now}"]
+        lines += ["", f"{w.name}: {w.description}{now}"]
         lines += [_format_field(f, values.get(w.name) if values else None) for f in w.fields]
     if map_.commands:
         wide = max(len(c.symbol) for c in map_.commands) + 2
@@ -622,10 +622,12 @@ def _summarize(map_: RegisterMap) -> list[str]:
 
 
 def _join_note(title: str, note: str) -> str:
+    """Join a title and a note to one text."""
     return f"{title}: {note}" if note else title
 
 
 def _format_range(register: Register) -> str:
+    """Format the legal range of a register for a dump."""
     return (
         " or ".join([f"{register.legal[0]}..{register.legal[1]}", *map(str, register.also)])
         if register.legal
@@ -634,14 +636,17 @@ def _format_range(register: Register) -> str:
 
 
 def _format_title(register: Register) -> str:
-    return register.text + (f"; {register.reset} after reset" if register.reset else "")
+    """Format the title of a register for a dump."""
+    return register.description + (f"; {register.reset} after reset" if register.reset else "")
 
 
 def _format_field(field: Field, word: int | None) -> str:
+    """Format a field as a line of a dump, with its value in `word` if that is given."""
     now = "" if word is None else f" = {field.extract(word)}"
-    return f"  b{field.bits:<7}{field.name:14}{field.evidence:3}{field.text}{now}"
+    return f"  b{field.bits:<7}{field.name:14}{field.evidence:3}{field.description}{now}"
 
 
 def _list_evidence(map_: RegisterMap) -> set[str]:
+    """Return the letters of all evidence in a map."""
     fields = {f.evidence for place in map_.places for f in place.fields}
     return fields | {r.evidence for r in map_.registers} | {c.evidence for c in map_.commands}

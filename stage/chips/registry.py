@@ -150,6 +150,7 @@ class Registry(MutableMapping[str, type[Chip]]):
             print(f"PulseStage: {_describe_name_conflict(name, sources)}", file=sys.stderr, flush=True)
 
     def _load(self, name: str) -> type[Chip]:
+        """Load the class of a chip by its name in the registry."""
         if name in self._families:
             module, _, attribute = self._families[name].partition(":")
             return getattr(import_module(module), attribute)

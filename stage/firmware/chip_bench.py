@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stage.chips import Chip
-from stage.chips.chip import Bus, Pins, check_clock, split_run
+from stage.chips.chip import Bus, Pins, check_clock_limit, split_run
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.axis import check_seconds
 from stage.support.argument_checks import explain_arguments, explain_constructor
@@ -215,7 +215,7 @@ class Bench(Bus):
     def _advance(self, until: int) -> None:
         """Advance to a time of the bench, ns, and call the actions that are due."""
         for name, axis in self.axes.items():
-            check_clock(self._clock_at(name, axis.chip, until))
+            check_clock_limit(self._clock_at(name, axis.chip, until))
         while self._events and self._events[0][0] <= until:
             when, _, action = heapq.heappop(self._events)
             self._run(max(when, self._now))

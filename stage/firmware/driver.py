@@ -371,7 +371,7 @@ class Driver(ABC):
         return {
             word.name: self.chip.read(word.address)
             for word in self.chip.MAP.words
-            if word.address is not None and not word.written and any("R" in f.access for f in word.fields)
+            if word.address is not None and not word.is_written and any("R" in f.access for f in word.fields)
         }
 
     def read_register(self, name: str) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from stage.chips.describe import Statement, decode
+from stage.chips.cycle_descriptions import Statement, decode
 from stage.chips.journal import Waveforms
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis

@@ -92,6 +92,7 @@ def build_library(package: str) -> Path:
 
 
 def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
+    """Build the library of a package in a folder, and return its path."""
     path = folder / load.NAME
     if not load.explain_library_misfit(package, path):
         return path  # somebody else has built it meanwhile
@@ -191,6 +192,7 @@ def _read_code(source: Path) -> ast.Module:
 
 @cache
 def _parse_code(text: str) -> ast.Module:
+    """Parse the text of a source file, without docstrings."""
     tree = ast.parse(text)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
@@ -200,6 +202,7 @@ def _parse_code(text: str) -> ast.Module:
 
 
 def _digest_code(code: ast.AST) -> str:
+    """Return a digest of code."""
     return hashlib.sha256(ast.dump(code).encode()).hexdigest()[:16]
 
 
@@ -256,7 +259,7 @@ def _emit_objects(parts: list[list[str]], roots: dict[str, Path], processor: str
         reader = threading.Thread(target=lambda: errors.append(process.stderr.read()))
         reader.start()
         for _ in process.stdout:
-            say.count_part()
+            say.show_part_done()
         reader.join()
     if process.returncode:
         raise NativeError(f"the native library could not be built:\n{errors[0].strip()}")
@@ -337,13 +340,15 @@ class _ProgressLine:
         self._what, self._done, self._all, self._lock = what, 0, stale, threading.Lock()
         self._print(f"{what}: {stale} of {parts} parts ...", "")
 
-    def count_part(self) -> None:
+    def show_part_done(self) -> None:
+        """Count one more part, and show the number of parts that are done."""
         with self._lock:
             self._done += 1
             if sys.stderr.isatty():
                 self._print(f"\r{self._what}: {self._done} of {self._all} parts ...", "")
 
     def finish(self) -> None:
+        """End the line."""
         self._print(" done", "\n")
 
     @staticmethod

@@ -98,16 +98,17 @@ class Exported:
         c_arguments: list[Any] = []
         for k, (value, kind) in enumerate(zip(args, self.arguments, strict=True)):
             if isinstance(kind, ArrayArgument):
-                self._check(k, value, kind.dtype, kind.dimensions)
+                self._check_memory(k, value, kind.dtype, kind.dimensions)
                 c_arguments += (value.ctypes.data, *value.shape)
             elif isinstance(kind, np.dtype):
-                self._check(k, value, kind, 0)
+                self._check_memory(k, value, kind, 0)
                 c_arguments.append(record_dtypes.address_of(value))
             else:
                 c_arguments.append(self._check_number(k, value, kind))
         return self.c(*c_arguments)
 
     def _check_number(self, argument_index: int, value: Any, kind: str) -> Any:
+        """Convert a number to the type of an argument, or raise ArgumentError."""
         if kind == "f8":
             try:
                 return float(value)
@@ -126,7 +127,8 @@ class Exported:
             )
         return number
 
-    def _check(self, argument_index: int, value: Any, dtype: np.dtype, dimensions: int) -> None:
+    def _check_memory(self, argument_index: int, value: Any, dtype: np.dtype, dimensions: int) -> None:
+        """Raise ArgumentError unless a value is a record or an array that compiled code can use in place."""
         if isinstance(value, np.void) and not dimensions:
             value = np.asarray(value)  # of no dimensions, the same memory
         elif not isinstance(value, np.ndarray):
@@ -143,6 +145,7 @@ class Exported:
             )
 
     def _make_type_error(self, argument_index: int, given_kind: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
+        """Make the error for an argument of another type."""
         wanted = f"a contiguous, writeable array of {dimensions} dimensions" if dimensions else "a record, or an array"
         return ArgumentError(
             f"{self.name}, argument {argument_index + 1}: {given_kind}; it takes {wanted} of {_format_dtype(dtype)}."
@@ -242,6 +245,7 @@ has not returned; uncompiled 0. `words` is written out."""
 
 
 def _make_prototype(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:
+    """Return the function type of ctypes for the types of a result and of arguments."""
     words: list[Any] = []
     for a in arguments:
         words += (
@@ -258,6 +262,7 @@ def _unwrap_record(value: Any, kind: Any) -> Any:
 
 
 def _format_dtype(dtype: np.dtype) -> str:
+    """Format a dtype for an error."""
     return f"a record of {', '.join(dtype.names[:3])} ..." if dtype.names else str(dtype)
 
 

@@ -38,6 +38,7 @@ def find_function_address(module: str, symbol: str) -> int:
 
 @cache
 def _load_library(package: str) -> ctypes.CDLL:
+    """Load the library of a package, and build it first if it does not match."""
     if sys.platform == "win32":
         raise NativeError(
             "PulseStage has no native library for Windows: use WSL. (NUMBA_DISABLE_JIT=1 runs it slowly, as Python.)"

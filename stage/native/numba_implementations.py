@@ -36,6 +36,7 @@ def lower_array(context: Any, builder: Any, kind: Any, address: Any, shape: list
 
 
 def _view_array(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
+    """Implement `array_at`: an array over the memory at an address."""
     several = isinstance(shape, types.BaseTuple)
     kind = types.Array(dtype.dtype, len(shape) if several else 1, "C")
 
@@ -54,6 +55,7 @@ array_at: Any = intrinsic(_view_array)
 
 
 def _allocate_room(_context: Any, rows: Any, columns: Any) -> Any:
+    """Implement `allocate_on_stack`: an array on the stack."""
     kind = types.Array(types.float64, 2, "C")
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -77,6 +79,8 @@ _FLOAT_MODES = {"x86_64": 0x1F80, "AMD64": 0x1F80, "aarch64": 0, "arm64": 0}
 
 
 def _set_usual_mode(_context: Any) -> Any:
+    """Implement a call that sets the default floating-point mode of the processor, and returns the old mode."""
+
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         usual, before = _FLOAT_MODES.get(platform.machine()), ir.Constant(ir.IntType(64), 0)
         if usual is not None:
@@ -88,6 +92,8 @@ def _set_usual_mode(_context: Any) -> Any:
 
 
 def _restore_mode(_context: Any, mode: Any) -> Any:
+    """Implement a call that restores a floating-point mode of the processor."""
+
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if platform.machine() in _FLOAT_MODES:
             _set_float_mode(builder, context.cast(builder, args[0], mode, types.int64))
@@ -97,6 +103,7 @@ def _restore_mode(_context: Any, mode: Any) -> Any:
 
 
 def _get_float_mode(builder: Any) -> Any:
+    """Emit code that reads the floating-point mode of the processor."""
     word, half = ir.IntType(64), ir.IntType(32)
     if platform.machine() in ("aarch64", "arm64"):
         return builder.call(
@@ -110,6 +117,7 @@ def _get_float_mode(builder: Any) -> Any:
 
 
 def _set_float_mode(builder: Any, mode: Any) -> None:
+    """Emit code that sets the floating-point mode of the processor."""
     word, half = ir.IntType(64), ir.IntType(32)
     if platform.machine() in ("aarch64", "arm64"):
         kind = ir.FunctionType(ir.VoidType(), [word])
@@ -128,6 +136,8 @@ restore_previous_float_mode: Any = intrinsic(_restore_mode)
 
 
 def _read_frame_address(_context: Any) -> Any:
+    """Implement `get_frame_address`: the address of the caller's stack frame."""
+
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = ir.FunctionType(cgutils.voidptr_t, [ir.IntType(32)])
         place = cgutils.get_or_insert_function(builder.module, kind, "llvm.frameaddress.p0")
@@ -137,6 +147,7 @@ def _read_frame_address(_context: Any) -> Any:
 
 
 def _stack_mark(_context: Any, words: Any, value: Any) -> Any:
+    """Implement `stack_mark`: fill words on the stack with `value`, `value` + 1 ..., and return their address."""
     if not isinstance(words, types.IntegerLiteral):
         raise TypingError("stack_mark() takes a number of words that is known when it is compiled.")
 

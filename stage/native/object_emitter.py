@@ -61,6 +61,8 @@ class _GatheredLibrary(codegen.AOTCodeLibrary):
 
 
 class _Codegen(codegen.AOTCPUCodegen):
+    """Code generator of numba that does not bind environments to addresses."""
+
     _library_class = _GatheredLibrary
 
     def set_env(self, name: str, environment: Any) -> None:
@@ -97,6 +99,7 @@ def make_context(processor: str) -> Any:
 
 
 def _gather_libraries(library: Any, libraries: dict[int, Any]) -> None:
+    """Collect a library of numba and all libraries that it links, by their ids."""
     if id(library) not in libraries and isinstance(library, _GatheredLibrary):  # the others are numba's own, to be run
         libraries[id(library)] = library
         for other in library._linking_libraries:

@@ -35,4 +35,5 @@ def is_intact(path: Path) -> bool:
 
 
 def _digest_path(path: Path) -> Path:
+    """Return the path of the digest file beside an object file."""
     return Path(f"{path}.sha256")

@@ -29,10 +29,12 @@ class _FastRecordType(type):
 
 
 def _get_record_type() -> Any:
+    """Return NumPy's record type, for pickles."""
     return np.record
 
 
 def _reduce_to_numpy(_: type) -> Any:
+    """Pickle a fast record type as NumPy's record type."""
     return _get_record_type, ()
 
 
@@ -66,6 +68,7 @@ def address_of(item: np.ndarray | np.void) -> int:
 
 @lru_cache(1024)
 def _view_memory(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Return an array over the memory at an address, from a cache."""
     size = prod(shape) * dtype.itemsize
     if not size:
         return np.empty(shape, dtype)

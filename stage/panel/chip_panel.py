@@ -40,7 +40,7 @@ MAX_OPEN_COMMANDS = 12  # a longer group of commands that begin no drive is fold
 
 
 def _describe_bits(field: Field) -> str:
-    return f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
+    return f"b{field.bits} {field.name}: {field.description} [{field.evidence}]"
 
 
 class FieldControl:
@@ -145,7 +145,7 @@ class RegisterRow:
             make_bus_cycles.props(f'flat dense no-caps size=sm data-test="send-{mark}"')
         ui.label(letter).classes("evidence").props["title"] = describe_evidence(letter)
         with ui.element("div").classes("meaning") as self._meaning:
-            ui.label(item.title if isinstance(item, Register) or not item.note else item.text)
+            ui.label(item.title if isinstance(item, Register) or not item.note else item.description)
             with ui.element("small").classes("words" if item.fields else ""):
                 self._words = ui.label()
 
@@ -256,7 +256,7 @@ class LampRow:
         self._word, self._chip_value = word, -1
         with ui.element("div").classes("word") as self._line:
             self._head = ui.label().classes("number").style("display: inline; margin-right: 10px")
-            self._head.props["title"] = word.text
+            self._head.props["title"] = word.description
             self._lamps = [(field, ui.label().classes("lamp")) for field in word.fields]
         for field, lamp in self._lamps:
             lamp.props["title"] = _describe_bits(field)

@@ -59,10 +59,10 @@ class FrontPanel:
     def __init__(self, kind: type[Chip]):
         self.kind, self.map = kind, kind.MAP
         self.registers: tuple[Register, ...] = self.map.registers
-        written = tuple(w for w in self.map.words if w.written and w.fields)
+        written = tuple(w for w in self.map.words if w.is_written and w.fields)
         coded = {c.address for c in written if self.map.commands} & {0}
         self.forms = tuple(w for w in written if w.address not in coded and not _is_command_data(w))
-        self.lamps = tuple(w for w in self.map.words if not w.written and any("R" in f.access for f in w.fields))
+        self.lamps = tuple(w for w in self.map.words if not w.is_written and any("R" in f.access for f in w.fields))
         self.buttons: dict[str, list[CommandButton]] = {}
         for group, button in (*self._list_buttons_of_words(written, coded), *self._list_buttons_of_commands()):
             if self._can_send(button):
@@ -233,7 +233,7 @@ class ConsoleCommand(NamedTuple):
 def list_console_names(kind: type[Chip]) -> list[str]:
     """Return every name with which a line of the bus console may begin."""
     map_ = kind.MAP
-    words = (w.name for w in map_.words if w.written)
+    words = (w.name for w in map_.words if w.is_written)
     registers, commands = (r.name for r in map_.registers), (c.symbol for c in map_.commands)
     return list(dict.fromkeys((*registers, *words, *commands, "read", "help")))
 
@@ -384,7 +384,7 @@ def _find_map_item(kind: type[Chip], name: str) -> Register | Word | None:
     """Return the register, or else the word that a host writes, with this name in upper or lower case, or None."""
     wanted = name.upper()
     registers = (r for r in kind.MAP.registers if r.name.upper() == wanted)
-    return next(registers, None) or next((w for w in kind.MAP.words if w.written and w.name.upper() == wanted), None)
+    return next(registers, None) or next((w for w in kind.MAP.words if w.is_written and w.name.upper() == wanted), None)
 
 
 def _suggest_similar_names(kind: type[Chip], name: str) -> str:
@@ -397,7 +397,7 @@ def _suggest_similar_names(kind: type[Chip], name: str) -> str:
 def _describe_current_value(r: Register, values: Mapping[str, int]) -> str:
     """Describe the value that a register holds now, for the bus console."""
     if r.name not in values:
-        return f"{r.name} ({r.text}) cannot be seen."
+        return f"{r.name} ({r.description}) cannot be seen."
     words, unit = describe_value(r, values[r.name]), f" {r.unit}" if r.unit else ""
     return f"{r.name} = {format_value(r, values[r.name])}{unit}{f' ({words})' if words else ''}: {r.title}"
 
@@ -413,7 +413,7 @@ def _describe_name(kind: type[Chip], name: str) -> str:
         return f"{command.symbol} {command.hex}: {command.description}{data}"
     if place is None:
         raise ArgumentError(f"{kind.MAP.chip} has nothing that is called {name!r}.{_suggest_similar_names(kind, name)}")
-    head = f"{place.name}: {place.text}"
+    head = f"{place.name}: {place.description}"
     if isinstance(place, Register):
         head += f"; {describe_range(place)}{' ' + place.unit if place.unit else ''}"
-    return "\n".join([head, *(f"  .{f.name}  b{f.bits}  {f.text}" for f in place.fields)])
+    return "\n".join([head, *(f"  .{f.name}  b{f.bits}  {f.description}" for f in place.fields)])

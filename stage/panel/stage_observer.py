@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stage.chips.chip import Chip
-from stage.chips.describe import CycleDescriber
+from stage.chips.cycle_descriptions import CycleDescriber
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.journal_entries import LOST, READ, RESET, WRITE, Entry
 from stage.panel.session import Session

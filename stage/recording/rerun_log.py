@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage.chips.describe import Statement
+from stage.chips.cycle_descriptions import Statement
 from stage.chips.journal import Replay
 from stage.recording import pin_signals, rerun_scene
 from stage.recording.axis_series import COLORS, FORMAT_VERSION, assign_colors, select_series

@@ -287,6 +287,7 @@ class Axis(DeclaredAttributes):
 
 
 def _find_axis(stage: Stage, name: str) -> Axis:
+    """Return an axis of a stage by its name, for a copied or pickled axis."""
     return stage.axes[name]
 
 

@@ -82,6 +82,7 @@ class DeviceState:
         return self._bytes
 
     def _split_words(self, words: np.ndarray) -> list[np.ndarray]:
+        """Split an array of words into a view of bytes for each device array."""
         places, at, all_bytes = [], 0, words.view(np.uint8)
         for array in self._bytes:
             places.append(all_bytes[at : at + len(array)])

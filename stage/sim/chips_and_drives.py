@@ -184,10 +184,12 @@ def _make_chip_axes(chips: Any, names: list[str], clock_hz: int | None) -> list[
 
 
 def _make_chip(choice: Any, clock_hz: int | None) -> Any:
+    """Make a chip from a class or a function, with the stage's clock if one is given."""
     return choice() if clock_hz is None or not isinstance(choice, type) else choice(clock_hz=clock_hz)
 
 
 def _find_any_motor(name: str) -> Motor | DCMotor:
+    """Return the stepper or the DC motor with a name."""
     return DC_MOTORS[name] if name in DC_MOTORS else find_motor(name)
 
 

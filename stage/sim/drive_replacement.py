@@ -85,6 +85,7 @@ def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
 
 
 def _set_model_values(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:
+    """Write armature, rotor and windings of a drive into the model, and update MuJoCo's derived constants."""
     model.dof_armature[axis.plant.dof] = armature
     fitted = view_fitted_values(model, axis.name)
     fitted[0] = drive.motor.rotor_inertia if axis.plant.motor else 0.0
@@ -93,6 +94,7 @@ def _set_model_values(model: Any, axis: Axis, drive: Drive | Servo, armature: fl
 
 
 def _set_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
+    """Write the core loss of a stepper motor, or resistance and torque constant of a DC motor, into the model."""
     if isinstance(drive, Drive) and isinstance(axis.drive, Drive):
         damping = model.actuator_damping[axis.plant.actuator : axis.plant.actuator + 1]
         if damping[0] == axis.drive.motor.core_loss_damping:  # else it is the model's own

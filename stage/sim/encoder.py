@@ -133,6 +133,7 @@ def list_counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]
 
 
 def _list_encoders(choice: EncoderChoice) -> list[Encoder]:
+    """Convert the argument `encoders` of `Stage` to a list of encoders."""
     if choice is None:
         return []
     if isinstance(choice, Encoder):
@@ -161,6 +162,7 @@ def _is_finite_and_nonzero(number: Any) -> bool:
 
 
 def _is_finite(value: Any) -> bool:
+    """Return whether a value is a finite number."""
     try:
         return math.isfinite(value)
     except (TypeError, OverflowError):

@@ -385,7 +385,8 @@ def update_switches(handle, axis_index):
 
 
 @hot
-def _find_axis_switch_levels(handle, axis_index):
+def _set_axis_switch_levels(handle, axis_index):
+    """Set the levels of the switches of one axis, and pass its inputs to its chip."""
     axis, t, d = get_axes(handle)[axis_index], get_axis_table(handle)[axis_index], get_drives(handle)[axis_index]
     chip, q = get_chip_table(handle)[t.chip], get_qpos(handle)[t.qpos]
     if t.counts != 0.0:
@@ -414,7 +415,7 @@ def _find_axis_switch_levels(handle, axis_index):
 
 
 @exported(None, HANDLE)
-def find_switch_levels(handle):
+def set_switch_levels(handle):
     """Set the levels of all switches and predict their edges, before the first window or after the carriages were placed."""
     get_world(handle).powered = 1
     for k in range(handle.n_switches):
@@ -422,7 +423,7 @@ def find_switch_levels(handle):
         s.toggles, s.edge, s.shift = 0, NEVER, 0.0
     predict_switch_edges(handle, False)
     for a in range(handle.n_axes):
-        _find_axis_switch_levels(handle, a)
+        _set_axis_switch_levels(handle, a)
     rows = get_chip_table(handle)
     for i in range(len(rows)):
         if rows[i].link and _is_first_linked_chip(rows, i):

@@ -200,20 +200,23 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
 
 
 def _make_switch_fault(axis: Axis, description: str, rows: dict[int, dict[str, int]]) -> Fault:
+    """Make a fault that changes fields of an axis' switches: row -> field -> value."""
     stage = axis.stage
 
-    def get() -> dict[int, dict[str, int]]:
+    def get_values() -> dict[int, dict[str, int]]:
         table = stage.state.switch_table
         return {row: {field: int(table[row][field]) for field in change} for row, change in rows.items()}
 
-    def put(values: dict[int, dict[str, int]]) -> None:
+    def set_values(values: dict[int, dict[str, int]]) -> None:
         for row, change in values.items():
             for field, value in change.items():
                 stage.state.switch_table[row][field] = value
         stage.update_switches(axis)
 
     things = [(row, field) for row, change in rows.items() for field in change]
-    return Fault(stage, f"axis {axis.name}: {description}", _make_change(get, put, lambda _: rows), things)
+    return Fault(
+        stage, f"axis {axis.name}: {description}", _make_change(get_values, set_values, lambda _: rows), things
+    )
 
 
 def _find_vane(axis: Axis, sensor: int) -> int | None:
@@ -224,10 +227,11 @@ def _find_vane(axis: Axis, sensor: int) -> int | None:
     return next((g for g in geoms if _is_on_body(m, int(m.jnt_bodyid[axis.joint]), int(m.geom_bodyid[g]))), None)
 
 
-def _is_on_body(model: Any, body: int, ancestor: int) -> bool:
-    while ancestor > body:
-        ancestor = int(model.body_parentid[ancestor])
-    return ancestor == body
+def _is_on_body(model: Any, body: int, descendant: int) -> bool:
+    """Return whether `descendant` is `body`, or one of the bodies that it carries."""
+    while descendant > body:
+        descendant = int(model.body_parentid[descendant])
+    return descendant == body
 
 
 # --- mechanics ---
@@ -279,14 +283,16 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
     model, dof = axis.stage.model, axis.plant.dof
     fields = (model.dof_frictionloss, model.dof_solref, model.dof_solimp)
 
-    def get() -> list[Any]:
+    def get_friction() -> list[Any]:
         return [field[dof].copy() for field in fields]
 
-    def put(values: Iterable[Any]) -> None:
+    def set_friction(values: Iterable[Any]) -> None:
         for field, value in zip(fields, values, strict=True):
             field[dof] = value
 
-    begin = _make_change(get, put, lambda before: (before[0] + more, (2 * model.opt.timestep, 1), JAM_SOLIMP))
+    begin = _make_change(
+        get_friction, set_friction, lambda before: (before[0] + more, (2 * model.opt.timestep, 1), JAM_SOLIMP)
+    )
     return Fault(axis.stage, f"axis {axis.name}: jammed", begin, [("friction", axis.name)])
 
 
@@ -344,13 +350,15 @@ def _make_axis_fault(
 ) -> Fault:
     """Make a fault that changes a field of `Axis.faults` on some axes to `compute_new_value(present value)`."""
 
-    def put(values: list[Any]) -> None:
+    def set_values(values: list[Any]) -> None:
         for axis, value in zip(axes, values, strict=True):
             setattr(axis.faults, field, value)
         stage.apply_faults()
 
     begin = _make_change(
-        lambda: [getattr(a.faults, field) for a in axes], put, lambda before: [compute_new_value(v) for v in before]
+        lambda: [getattr(a.faults, field) for a in axes],
+        set_values,
+        lambda before: [compute_new_value(v) for v in before],
     )
     return Fault(stage, text, begin, [(field, a.name) for a in axes])
 
@@ -410,13 +418,13 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
 
-    def glitch(address: int, value: int) -> bool:
+    def delay_start(address: int, value: int) -> bool:
         if axis.chip.would_start_drive(address, value, axis.chip_axis):
             fault.clear()
             axis.stage.run(seconds)
         return False
 
-    fault = _make_bus_fault(axis, f"start command {seconds * 1e3:g} ms late", glitch)
+    fault = _make_bus_fault(axis, f"start command {seconds * 1e3:g} ms late", delay_start)
     return fault
 
 
@@ -442,7 +450,7 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
         raise ArgumentError(f"skip={skip!r}: a whole number of writes, 0 or more, arrive before one is lost.")
     left = int(skip)
 
-    def glitch(a: int, v: int) -> bool:
+    def loses_write(a: int, v: int) -> bool:
         nonlocal left
         if address not in (None, a) or value not in (None, v):
             return False
@@ -452,25 +460,27 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
         return left < 0
 
     which = ("" if value is None else f" of {value:02X}h") + ("" if address is None else f" to address {address}")
-    fault = _make_bus_fault(where, f"a bus write{which} gets lost", glitch)
+    fault = _make_bus_fault(where, f"a bus write{which} gets lost", loses_write)
     return fault
 
 
-def _make_bus_fault(where: Axis | Chip, description: str, glitch: Callable[[int, int], bool]) -> Fault:
+def _make_bus_fault(where: Axis | Chip, description: str, loses_write: Callable[[int, int], bool]) -> Fault:
+    """Make a fault of the bus: before each write, `loses_write` returns whether the write is lost."""
     chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where.stage)
     name = type(where).__name__ if isinstance(where, Chip) else f"axis {where.name}"
 
     def begin() -> Callable[[], None]:
-        chip.glitches += (glitch,)
+        chip.glitches += (loses_write,)
         return end
 
     def end() -> None:
-        chip.glitches = tuple(g for g in chip.glitches if g is not glitch)
+        chip.glitches = tuple(g for g in chip.glitches if g is not loses_write)
 
     return Fault(stage, f"{name}: {description}", begin)
 
 
 def _check_type(value: Any, expected_type: type = Axis) -> None:
+    """Raise ArgumentError if a value is not of a type."""
     if not isinstance(value, expected_type):
         wanted = "stage.axes['x']" if expected_type is Axis else "a Stage"
         raise ArgumentError(f"{value!r} is not what breaks here: give {wanted}.")

@@ -29,7 +29,7 @@ from stage.support.argument_checks import explain_arguments
 
 DEVICES = ("cpu", "cuda")
 MAX_TIME_NS = engine_records.SECOND * 10**9  # ns
-CHUNKS_PER_THREAD = 4  # a thread's share, so that a slow stage does not hold up the rest
+CHUNKS_PER_THREAD = 4  # a thread's run_next_chunks, so that a slow stage does not hold up the rest
 
 
 class PlayedPrograms(NamedTuple):
@@ -167,7 +167,7 @@ class Fleet:
         all_of_them = engine.has_unguarded_callback.with_gil(self._first)
         for k, stage in enumerate(self.stages):
             stage.ensure_powered()
-            stage.loop.check_options()
+            stage.loop.check_integration_options()
             if all_of_them or stage.recording is not None:
                 indices.append(k)
                 continue
@@ -227,6 +227,7 @@ class Fleet:
         self._run_chunks_on_threads(work)
 
     def _run_chunks_on_threads(self, work: Callable[[int, int], None]) -> None:
+        """Divide the stages into chunks, and call `work` for each on the next free thread."""
         n = len(self.stages)
         if self.threads == 1:
             work(0, n)
@@ -235,14 +236,14 @@ class Fleet:
         cuts = [n * k // chunks for k in range(chunks + 1)]
         left = iter(range(chunks))  # every thread takes the next, this one among them
 
-        def share() -> None:
+        def run_next_chunks() -> None:
             for k in left:
                 work(cuts[k], cuts[k + 1])
 
         pool = self._get_thread_pool()
-        jobs = [pool.submit(share) for _ in range(self.threads - 1)]
+        jobs = [pool.submit(run_next_chunks) for _ in range(self.threads - 1)]
         try:
-            share()
+            run_next_chunks()
         finally:
             wait(jobs)
         for job in jobs:
@@ -368,6 +369,7 @@ def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, 
 
 
 def _count_processors() -> int:
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

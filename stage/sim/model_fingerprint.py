@@ -26,6 +26,7 @@ def iterate_settings(model: Any) -> Iterator[tuple[Any, str, Any]]:
 
 @cache
 def _list_field_names(kind: Any) -> list[str]:
+    """Return the names of the public attributes of a MuJoCo type."""
     return [name for name in dir(kind) if not name.startswith("_")]
 
 
@@ -50,6 +51,7 @@ _CONTACT_FIELDS = (
 
 @cache
 def _list_mechanics_fields(kind: Any) -> list[str]:
+    """Return the names of the attributes that affect the mechanics of a model."""
     return [name for name in _list_field_names(kind) if _MOVING_FIELD.match(name) and not _VISUAL_FIELD.search(name)]
 
 

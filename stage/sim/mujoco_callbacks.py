@@ -76,12 +76,12 @@ def forward_guarded(
     """
     errors: list[BaseException] = []
 
-    def failed(error: BaseException | None) -> bool:
+    def take_error(error: BaseException | None) -> bool:
         if error is not None:
             errors.append(error)
         return bool(errors)
 
-    with guard_callbacks(failed):
+    with guard_callbacks(take_error):
         mujoco.mj_forward(model, data)
         if errors and restore_state is not None:
             restore_state()
@@ -107,6 +107,8 @@ def make_callback_error(error: BaseException | None, seconds: float, state_text:
 
 
 def _make_guard(callback: Callable) -> Callable:
+    """Return a callback that stores exceptions of another callback."""
+
     def call(*args: Any) -> Any:
         failed = _guards.get(threading.get_ident())
         if failed is None:  # somebody else steps a model of his own

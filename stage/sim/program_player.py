@@ -290,15 +290,19 @@ class _OperationRunner:
         self.step_lost = False
 
     def write(self, axis: int, address: int, value: int) -> None:
+        """Make a bus write cycle."""
         self.axes[axis].chip.write(address, value)
 
     def read(self, axis: int, address: int, _: int) -> int:
+        """Make a bus read cycle, and return its value."""
         return int(self.axes[axis].chip.read(address))
 
     def wait(self, ns: int, *_: int) -> None:
+        """Let simulated time pass."""
         self.stage.run_to(self.stage.now + ns)
 
     def wait_for_stop(self, mask: int, poll: int, limit: int, keep_step: bool = False) -> int:
+        """Poll until no axis in the mask is in motion; return the duration in ns, negative after the limit."""
         stage, begin = self.stage, self.stage.now
         axes = [axis for k, axis in enumerate(self.axes) if mask >> k & 1]
         left = axes
@@ -312,17 +316,21 @@ class _OperationRunner:
             stage.run_to(stage.now + poll)
 
     def wait_while_in_step(self, mask: int, poll: int, limit: int) -> int:
+        """Poll as `wait_for_stop` does, and end the program if an axis loses a step."""
         return self.wait_for_stop(mask, poll, limit, keep_step=True)
 
     def _find_point_position(self, point: int) -> np.ndarray:
+        """Return the world position of a measured point, m, (3,)."""
         data = self.stage.data
         return data.site_xpos[point - 1] if point > 0 else data.xpos[-point]
 
     def sample_position(self, axis: int, point: int, coordinate: int) -> int:
+        """Return a true position in pm (prad on a hinge), see `Program.sample_position`."""
         at = self._find_point_position(point)[coordinate] if point else self.axes[axis].position
         return math.floor(at * 1e12)
 
     def measure(self, ns: int, point: int, _: int) -> int:
+        """Wait, update the extremes, and return the travel of the point in pm."""
         stage, extremes = self.stage, self.extremes
         end, low, high = stage.now + ns, np.full(3, np.inf), np.full(3, -np.inf)
         while stage.now < end:

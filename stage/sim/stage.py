@@ -134,6 +134,7 @@ class Stage:
         offset: int,
         wiring: WiringChoice,
     ) -> None:
+        """Build the axes and the state of the stage from its chips and drives."""
         self._plant = plant.bind_axes(self.model, names)
         self._positive = choose_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
@@ -144,7 +145,7 @@ class Stage:
         mujoco_callbacks.forward_guarded(self.model, self.data)
         integration_checks.check_dampers(self.model, self._plant, drives)
         integration_checks.check_step_length(self.model, self.data, self._plant, drives)
-        engine.find_switch_levels.with_gil(self.state.pointer)
+        engine.set_switch_levels.with_gil(self.state.pointer)
         self.run_to(0)
         self._initial = self.snapshot()
 
@@ -256,7 +257,7 @@ class Stage:
             raise ArgumentError(
                 f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {max_steps} ({MAX_RUN_S:g} s)."
             )
-        self.loop.check_options()
+        self.loop.check_integration_options()
         self.loop.run_to(self.state.start + int(n) * dt)
 
     @explain_arguments
@@ -273,7 +274,7 @@ class Stage:
         """
         if not 0 <= seconds < MAX_RUN_S:
             raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to {MAX_RUN_S:g} s.")
-        self.loop.check_options()
+        self.loop.check_integration_options()
         self.loop.run_to(self.state.now + round(seconds * 1e9))
 
     @explain_arguments
@@ -292,7 +293,7 @@ class Stage:
             raise ArgumentError(
                 f"until={until!r}: a time is a whole number of ns since power-up, {MAX_RUN_S:g} s from now at most."
             )
-        self.loop.check_options()
+        self.loop.check_integration_options()
         self.loop.run_to(max(int(until), self.state.now))
 
     @explain_arguments
@@ -318,7 +319,7 @@ class Stage:
             raise ArgumentError(
                 f"poll={poll!r}: a condition is looked at every 0 s (that is, every ns) to {MAX_RUN_S:g} s."
             )
-        self.loop.check_options()
+        self.loop.check_integration_options()
         begin = self.now
         end = begin + round(timeout * 1e9)
         while not condition():
@@ -464,13 +465,13 @@ class Stage:
             changes: Pairs of an array of MuJoCo and its new values.
         """
 
-        def put() -> None:
+        def set_positions() -> None:
             for here, values in changes:
                 here[:] = values
 
         with self.loop.claim():
-            self.loop.apply_change(put)
-            engine.find_switch_levels.with_gil(self.state.pointer)
+            self.loop.apply_change(set_positions)
+            engine.set_switch_levels.with_gil(self.state.pointer)
         for axis in self._axes:
             chip: Any = axis.chip
             if chip.open_journal is not None:
@@ -718,5 +719,6 @@ class Stage:
 
 
 def _make_snapshot(header: Header, state: np.ndarray, diagnostics: tuple) -> Snapshot:
+    """Make a snapshot with its checksum."""
     state.flags.writeable = False
     return Snapshot(header, state, diagnostics, crc32(state.data, header.checksum))

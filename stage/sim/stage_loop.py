@@ -139,7 +139,7 @@ class StageLoop:
         if self.time_refusal or self.state_refusal:
             raise StageError(self.time_refusal or self.state_refusal)
 
-    def check_options(self) -> None:
+    def check_integration_options(self) -> None:
         """Check that the model has the time step and the integrator with which the stage was built.
 
         Raises:
@@ -183,6 +183,7 @@ class StageLoop:
             self._advance = before
 
     def _run_to(self, until: int) -> None:
+        """Run the engine in pieces up to a time, ns, and process its logs after each piece."""
         recording, piece = self.recording, self._piece
         while True:
             goal = until
@@ -240,13 +241,13 @@ class StageLoop:
         """Run to `until` a physics step at a time, so that a step in which a callback fails can be undone."""
         clockwork = self.state.clockwork[0]
 
-        def failed(error: BaseException | None) -> bool:
+        def take_error(error: BaseException | None) -> bool:
             if error is not None:
                 self._failure, clockwork.failed = error, 1
             return bool(clockwork.failed)
 
         try:
-            with mujoco_callbacks.guard_callbacks(failed):
+            with mujoco_callbacks.guard_callbacks(take_error):
                 clockwork.guarded = 1
                 while self.state.now < until:
                     self.run_to(min(until, self.state.start + self._dt))

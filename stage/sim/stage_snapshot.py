@@ -87,4 +87,5 @@ def describe_stage(
 
 
 def _digest(data: bytes) -> str:
+    """Return a short digest of bytes as text."""
     return hashlib.blake2b(data, digest_size=6).hexdigest()

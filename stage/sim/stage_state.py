@@ -136,7 +136,7 @@ class State:
 
     @property
     def powered(self) -> int:
-        """Whether the state is valid: 1, or 0 after userdata was cleared, for example by `mj_resetData`."""
+        """Validity of the state: 1, or 0 after userdata was cleared, for example by `mj_resetData`."""
         return self.words.item(POWERED)
 
     def set_edge_buffer(self, edges: np.ndarray) -> None:
@@ -149,25 +149,26 @@ class State:
         self.userdata = self.data.userdata[self.offset :]
         left = self.userdata
 
-        def cut(dtype: np.dtype, n: int) -> np.ndarray:
+        def take_records(dtype: np.dtype, n: int) -> np.ndarray:
             nonlocal left
             words = n * dtype.itemsize // 8
             words_cut, left = left[:words], left[words:]
             return words_cut.view(dtype)
 
-        self.world = cut(engine_records.WORLD, 1)
+        self.world = take_records(engine_records.WORLD, 1)
         self.words = self.world.view(np.int64)
-        self.axes = cut(engine_records.AXIS, axis_count)
-        self.chips = [cut(chip.CORE.STATE, 1) for chip in chips]
-        self.drives = cut(DRIVE, axis_count)
-        self.switches = cut(engine_records.SWITCH, switch_count)
-        self.latches = cut(engine_records.ADDRESS, len(chips))
+        self.axes = take_records(engine_records.AXIS, axis_count)
+        self.chips = [take_records(chip.CORE.STATE, 1) for chip in chips]
+        self.drives = take_records(DRIVE, axis_count)
+        self.switches = take_records(engine_records.SWITCH, switch_count)
+        self.latches = take_records(engine_records.ADDRESS, len(chips))
         self.axis_table = np.zeros(axis_count, engine_records.AXIS_TABLE)
         self.switch_table = np.zeros(switch_count, engine_records.SWITCH_TABLE)
         self.chip_table = np.zeros(len(chips), engine_records.CHIP_TABLE)
         self.clockwork = np.zeros(1, engine_records.CLOCKWORK)
 
     def _set_clockwork(self, encoders: int) -> None:
+        """Fill the CLOCKWORK record: durations, counts, and the addresses of MuJoCo's functions."""
         w, dt = self.clockwork[0], self.dt
         w.mj_step, w.mj_get_state = (
             libmujoco.find_mujoco_address("mj_step"),
@@ -184,6 +185,7 @@ class State:
         w.callbacks, w.native = mujoco_callbacks.ADDRESSES, mujoco_callbacks.NATIVE
 
     def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:
+        """Fill the table of chips: a CHIP record with the addresses of each chip."""
         w, self.slice_ends = self.clockwork[0], dict[int, np.ndarray]()
         rows_of = dict(zip(chips, self.chips, strict=True))
         self.chip_axes = [np.zeros(chip.AXES, core_interface.CHIP_AXIS) for chip in chips]

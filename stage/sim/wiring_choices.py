@@ -46,10 +46,12 @@ def choose_wiring(
 
 
 def _make_wiring_error(wiring: Any) -> ArgumentError:
+    """Make the error for an argument `wiring` that has another form."""
     return ArgumentError(f'wiring={wiring!r}: a mapping axis -> sensor -> logic, {{"x": {{"org": "positive"}}}}.')
 
 
 def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping[str, str]:
+    """Return the sensors of one axis whose logic differs from the one that its chip expects."""
     fitted = [*(s.pin for s in plant.switches), "ez"]
     for sensor, logic in sensors.items():
         if sensor not in fitted:

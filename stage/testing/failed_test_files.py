@@ -15,7 +15,7 @@ import pytest
 
 import stage as package
 from stage.board.bus.host_record import STRAY
-from stage.chips.describe import decode
+from stage.chips.cycle_descriptions import decode
 from stage.errors import StageError
 from stage.recording import Recording
 from stage.sim import plant

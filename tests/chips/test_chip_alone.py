@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stage.chips import CHIPS, MCX304, MCX514, PCL240K, chip_class
-from stage.chips.describe import FieldDescriber
+from stage.chips.cycle_descriptions import FieldDescriber
 from stage.chips.register_map import Field, Register, dump
 from stage.errors import ArgumentError
 

@@ -160,7 +160,7 @@ def test_every_command_of_a_chip_is_sent_as_its_listener_hears_it(name):
         assert command.title in message or command.symbol.removeprefix("R-") in message, (command.symbol, message)
         assert not command.axes or make.AXES == 1 or message.startswith("XYZU"[axis]), message
     for word in make.MAP.words:
-        if word.written:
+        if word.is_written:
             for bits in (*word.sends, (1 << word.fields[-1].high + 1) - 1):
                 address, datum = make.command_cycles(word.name, axis, bits)[-1]
                 assert (address, datum & bits) == (word.address, bits)

@@ -7,7 +7,7 @@ from support.hctl1100_bench import SAMPLE, bench, moving, position, trapezoid
 from support.hctl1100_programs import COMMAND, begin, velocity, word
 
 from stage.chips import HCTL1100
-from stage.chips.describe import decode
+from stage.chips.cycle_descriptions import decode
 from stage.chips.hctl1100 import core
 
 

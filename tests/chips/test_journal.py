@@ -7,7 +7,7 @@ import pytest
 
 from stage import faults
 from stage.chips import CHIPS, MCX304, MCX514, PCL240K, PCL240MK
-from stage.chips.describe import decode
+from stage.chips.cycle_descriptions import decode
 from stage.chips.journal_entries import INPUT, PACKED, READ, WRITE, Entries, Entry
 from stage.errors import ArgumentError
 

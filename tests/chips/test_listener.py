@@ -7,7 +7,7 @@ import pytest
 from support.examples import FIXED
 
 from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.chips.describe import MAX_LINE_LENGTH
+from stage.chips.cycle_descriptions import MAX_LINE_LENGTH
 
 NOVA = (MCX514, MCX304, MCX302, MCX312)
 PCL = (PCL240K, PCL240MK, PCL240MS)

@@ -31,7 +31,7 @@ class Contents:
     def find_axes_of_interpolation(self, command):
         return self.interpolated_axes
 
-    def find_refusals(self, value):
+    def find_refused_axes(self, value):
         return {}
 
 

@@ -8,7 +8,7 @@ from loops.nova import one_by_one
 from support.nova_bench import NOP_304, NOP_514, command, examples, load, load_304, set_wr3
 
 from stage.chips import MCX304, MCX514
-from stage.chips.describe import decode
+from stage.chips.cycle_descriptions import decode
 from stage.chips.nova.motion import pulse_trace as pulses
 
 PARTS = (1, 2, 3, 7, 11, 64, 625, 999, 4096, 15_625)
@@ -100,7 +100,7 @@ def test_integer_speeds_are_recognized_over_the_full_range():
         command(chip, 0x52)
         rows = chip._rows.copy()
         x = rows[0].ax[0]
-        pulses._clear_prediction(x)
+        pulses._clear_predicted_pulse(x)
         pulses._predict_pulse(x, 1)
         assert x.even_pps == pps
         assert 0 <= x.even_rest < pps

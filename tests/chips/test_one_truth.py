@@ -72,7 +72,7 @@ def fits(name):
     ],
 )  # fmt: skip
 def test_a_field_is_described_by_its_meaning_and_its_values(f, text, message):
-    assert f.text == text
+    assert f.description == text
     assert {v: f.describe_value(v) for v in message} == message
 
 

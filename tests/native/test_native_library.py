@@ -173,8 +173,8 @@ def test_a_terminal_shows_the_progress_of_a_build(monkeypatch):
     terminal.isatty = lambda: True
     monkeypatch.setattr(sys, "stderr", terminal)
     say = build._ProgressLine("building toy", 2, 3)
-    say.count_part()
-    say.count_part()
+    say.show_part_done()
+    say.show_part_done()
     say.finish()
     lines = [f"building toy: {n} of {of} parts ..." for n, of in ((2, 3), (1, 2), (2, 2))]
     assert terminal.getvalue() == "\r".join(lines) + " done\n"

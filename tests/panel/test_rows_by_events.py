@@ -183,7 +183,7 @@ def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, make_ro
     row.open()
     fields = [f for f in place.fields if not is_fixed(f)]
     for field in fields:
-        assert row.field(field).props["title"] == f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
+        assert row.field(field).props["title"] == f"b{field.bits} {field.name}: {field.description} [{field.evidence}]"
     for current in (0x5A5A5A5A & limit, limit, 0):
         row.update(current)
         for field in fields:
@@ -352,9 +352,9 @@ def test_a_readable_word_lights_its_lamps_and_is_hidden_without_a_value(page):
 
     for place in lamps:
         box, row = page.within(lambda p=place: build(p))
-        assert row._head.props["title"] == place.text
+        assert row._head.props["title"] == place.description
         assert [lamp.props["title"] for _, lamp in row._lamps] == [
-            f"b{f.bits} {f.name}: {f.text} [{f.evidence}]" for f in place.fields
+            f"b{f.bits} {f.name}: {f.description} [{f.evidence}]" for f in place.fields
         ]
         for value in ((1 << place.bits) - 1, 0, 0x55 & (1 << place.bits) - 1):
             row.show_chip_values({place.name: value})

@@ -9,7 +9,7 @@ A program is a list of operations, tuples that print as what they do:
 import random
 
 from stage.chips.chip import Pins
-from stage.chips.describe import decode
+from stage.chips.cycle_descriptions import decode
 from stage.chips.nova import state as nova
 
 CHECKPOINTS = 3

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stage.chips import describe
-from stage.chips.describe import Statement
+from stage.chips import cycle_descriptions
+from stage.chips.cycle_descriptions import Statement
 from stage.chips.register_map import RegisterMap
 
 
@@ -14,7 +14,7 @@ def describe_write(map_: RegisterMap, address: int, value: int) -> str:
     return f"{name} <- {value}"
 
 
-class Decoder(describe.Decoder):
+class Decoder(cycle_descriptions.Decoder):
     def __init__(self, map_: RegisterMap):
         self._map = map_
 

@@ -13,7 +13,7 @@ from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
 from stage.board.firmware_library import find_compiler
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
-from stage.chips.describe import Statement
+from stage.chips.cycle_descriptions import Statement
 from stage.cli import main
 from stage.drives.dynamometer import compute_natural_frequency
 from stage.errors import ArgumentError, StageError

@@ -1,8 +1,8 @@
 """Bus cycles of the ACME1000 in words, for traces and recordings; and the lint, which yields diagnostics."""
 
 from acme_chips.maps import CONTROL, MAP, STATUS
-from stage.chips import describe
-from stage.chips.describe import FieldDescriber, Statement
+from stage.chips import cycle_descriptions
+from stage.chips.cycle_descriptions import FieldDescriber, Statement
 from stage.chips.diagnostics import Rule
 
 NAMES = {r.number: r.name for r in MAP.registers}
@@ -32,7 +32,7 @@ class CycleDescriber:
         return FIELDS.describe("status", value) if address == 0 else f"{NAMES.get(address, 'nothing')} = {value}"
 
 
-class Decoder(describe.Decoder):
+class Decoder(cycle_descriptions.Decoder):
     """Decoder of journals."""
 
     def decode_write(self, clock, address, value):

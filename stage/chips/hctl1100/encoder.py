@@ -21,6 +21,7 @@ def read_count(chip):
 
 @hot
 def _compute_count_at(chip, clock):
+    """Compute the raw count of the encoder at a clock."""
     x = chip.shaft_count - chip.missed_counts + compute_filtered_rate(chip) * (clock - chip.shaft_clock)
     return int(math.floor(least(greatest(x, -MAX_COUNT), MAX_COUNT)))
 

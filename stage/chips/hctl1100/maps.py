@@ -100,6 +100,7 @@ QUANTITIES = {
 
 
 def _make_bit(name: str, number: int, meaning: str, evidence: str = "D", access: str = "R", **more: object) -> Field:
+    """Return a field of one bit. `more` has further attributes of `Field`."""
     return Field(name, number, number, meaning, evidence, access, **more)  # type: ignore[arg-type]
 
 
@@ -161,6 +162,7 @@ MODE_WRITE = Word(
 
 
 def _make_register(number: int, access: str, title: str, **more: object) -> Register:
+    """Return an 8-bit register. `more` has further attributes of `Register`."""
     return Register(f"R{number:02X}", number, 8, access, title, **{"evidence": "D", **more})  # type: ignore[arg-type]
 
 

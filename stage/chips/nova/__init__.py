@@ -12,7 +12,7 @@ from stage.chips.chip import Chip, Pins, make_cycle_error
 from stage.chips.diagnostics import Finding
 from stage.chips.exclusive_access import exclusive
 from stage.chips.nova import core, state
-from stage.chips.nova.describe import CycleDescriber, Decoder
+from stage.chips.nova.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.nova.functions import encoder
 from stage.chips.nova.lint import LintState, Mcx312LintState, Mcx314asLintState, lint_write
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
@@ -171,10 +171,10 @@ class Nova(Chip):
         core.write.with_gil(chip.pointer, 0, select | map_.command("NOP").code)
         for w in map_.words:
             n = w.address
-            if n and w.written:
+            if n and w.is_written:
                 common = {4: "outputs4", 5: "outputs5", 6: "data_low", 7: "data_high"}
                 values[w.name] = int(c["ax"][axis]["wr"][n]) if n <= 3 else int(c[common[n]])
-            elif n is not None and w.fields and not w.written:
+            elif n is not None and w.fields and not w.is_written:
                 values[w.name] = core.read_register_value.with_gil(chip.pointer, n, w.name == "RR3-1")
         reads = {k.symbol.removeprefix("R-"): k for k in map_.commands if k.kind == "data read"}
         for r in map_.registers:

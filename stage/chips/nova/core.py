@@ -54,7 +54,7 @@ def _process_due_events(chip):
         for j in range(chip.axes):
             axis = chip.ax[j]
             at = least(at, pins_in.update_inputs(chip, axis))
-            single_axis_drive.check_drive(chip, axis)
+            single_axis_drive.update_drive(chip, axis)
             single_axis_drive.apply_inputs(chip, axis)
             external_drives.apply_pin_changes(chip, axis)
             if axis.launch_direction:

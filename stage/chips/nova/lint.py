@@ -106,6 +106,7 @@ class LintState:
         return sum(1 << k for k, x in enumerate(self._axes) if x["driving"] or x["interpolates"])
 
     def _find_fixed_pulse_drives(self, is_absolute: int) -> int:
+        """Return the axes in drives of a fixed number of pulses, absolute or relative, as bits."""
         axes = enumerate(self._axes)
         return sum(
             1 << k for k, x in axes if self.driving_axes >> k & 1 and x["fixed"] and x["absolute"] == is_absolute
@@ -146,7 +147,7 @@ class LintState:
         """Return the axes that take part in an interpolation command, as bits."""
         return self.interpolated_axes
 
-    def find_refusals(self, value: int) -> dict[int, str]:
+    def find_refused_axes(self, value: int) -> dict[int, str]:
         """Try a drive command on a copy of the chip, and find the axes that it does not start although they have pulses to make.
 
         Args:
@@ -283,7 +284,7 @@ def _lint_drive(map_: RegisterMap, chip: Any, command: Command, value: int) -> I
         yield ALREADY_DRIVING, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
     if command.symbol in TP_DRIVES:
         yield from _lint_pulse_numbers(map_, chip, name, axes)
-    if command.starts and (refusals := chip.find_refusals(value)):
+    if command.starts and (refusals := chip.find_refused_axes(value)):
         reasons = "; ".join(f"{_name_axes(1 << k)}: {why}" for k, why in refusals.items())
         yield STARTS_NO_DRIVE, f"{name} starts no drive: {reasons}"
 
@@ -426,14 +427,16 @@ def _lint_fields(place: Register | Word, word: int, section: str) -> Iterator[Fi
         if f.legal and not f.legal[0] <= f.extract(word) <= f.legal[1]:
             yield (
                 FIELD_RANGE.with_source(section),
-                f"{place.name} = {word:04X}h: {f.name} = {f.extract(word)} ({f.text})",
+                f"{place.name} = {word:04X}h: {f.name} = {f.extract(word)} ({f.description})",
             )
 
 
 def _name_bits(mask: int) -> str:
+    """Return the numbers of the bits of a mask in words."""
     numbers = [str(k) for k in range(15, -1, -1) if mask >> k & 1]
     return f"bit{'s' if len(numbers) > 1 else ''} {' and '.join(numbers)}"
 
 
 def _name_axes(axes: int) -> str:
+    """Return the names of the axes of a mask in words."""
     return ", ".join(a for k, a in enumerate(AXES) if axes >> k & 1)

@@ -22,6 +22,7 @@ MASTER, SLAVE = 1, 2  # MLT of IPM: this chip's role in an interpolation of seve
 
 
 def _find_register_numbers(map_: RegisterMap, names: str) -> tuple[int, ...]:
+    """Return the numbers of registers by their names, separated by spaces."""
     return tuple(map_.register(name).number for name in names.split())
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from stage.chips.chip import Chip
 from stage.chips.diagnostics import Finding
 from stage.chips.pcl240 import core, state
-from stage.chips.pcl240.describe import CycleDescriber, Decoder
+from stage.chips.pcl240.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.pcl240.lint import Predictions, lint_command, lint_data
 from stage.chips.pcl240.maps import (
     CONTROL,

@@ -199,6 +199,7 @@ _WIDE_POINT_OR_OFFSET = replace(
 
 
 def _make_stored_field(high: int, low: int) -> Field:
+    """Return a field of bits that are stored without effect."""
     return Field("stored", high, low, "stored, no effect", "I")
 
 

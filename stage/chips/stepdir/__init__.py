@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.stepdir import core
-from stage.chips.stepdir.describe import CycleDescriber, Decoder
+from stage.chips.stepdir.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.stepdir.line_names import DRIVEN, READ, Line
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP

@@ -65,6 +65,7 @@ def lint_write(chip: Any, address: int, value: int) -> Iterator[Finding]:
 
 
 def _lint_start(chip: Any, value: int) -> Iterator[Finding]:
+    """Check a start command of the step timer."""
     start, rate = int(chip["reg"][START]), int(chip["reg"][RATE])
     if chip["running"]:
         yield ALREADY_MOVING, "a start is ignored while the step timer runs"

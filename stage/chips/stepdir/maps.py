@@ -48,6 +48,7 @@ MAX_RAMP_US = 5_000_000
 def _make_register(
     name: str, number: int, title: str, legal: tuple[int, int], unit: str, **further: object
 ) -> Register:
+    """Return a register of the step timer. `further` has further attributes of `Register`."""
     return Register(name, number, 32, "RW", title, legal, evidence="I", unit=unit, section="step timer", **further)  # type: ignore[arg-type]
 
 

@@ -62,6 +62,7 @@ def _add_ramp(chip, seconds, begin_rate, end_rate):
 
 @hot
 def _begin_profile(chip):
+    """Clear the profile, and begin it at the present clock."""
     chip.started, chip.segment, chip.segments = chip.clock, 0, 0
     chip.begin[0] = chip.position[0] = chip.acceleration[0] = chip.jerk[0] = 0.0
 

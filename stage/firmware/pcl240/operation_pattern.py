@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.pcl240.describe import name_speed
+from stage.chips.pcl240.cycle_descriptions import name_speed
 from stage.chips.pcl240.maps import CONTROL, OPERATE, OUTPUT
 from stage.chips.pcl240.state import FL, GROUP, INT_AT_STOP, OUTPUT_BITS, RAMP, SPEED, START, STOP
 from stage.firmware import operation_pattern

@@ -68,11 +68,12 @@ class GpuFleet(fleet.Fleet):
         self._layout = LaneLayout(stage)
         self._advance, self._inspect = make_kernels(stage, self._layout, tools)
         self._stream = cuda.external_stream(self.physics.stream.cuda_stream)
-        self._set_arrays(cuda)
+        self._allocate_arrays(cuda)
         self._operations = self._used = 0
         self._graph: Any = None
 
-    def _set_arrays(self, cuda: Any) -> None:
+    def _allocate_arrays(self, cuda: Any) -> None:
+        """Allocate the arrays of the copies on the GPU, and share them with mujoco-warp."""
         stage, layout, data = self.stages[0], self._layout, self.physics.data
         model, state = stage.model, stage.state
         self._begin = layout.pack(self._copies)
@@ -139,7 +140,7 @@ class GpuFleet(fleet.Fleet):
     def load(self, programs: Sequence[Program] | np.ndarray) -> None:
         """Load a program for every copy, which `advance` then plays. Raises ArgumentError as `play` does."""
         ops = fleet.check_programs(programs, len(self), self.stages[0])
-        self._make_room(ops.shape[1])
+        self._allocate_programs(ops.shape[1])
         self._used = ops.shape[1]
         padded = np.zeros((len(self), self._operations, 4), np.int64)  # END
         padded[:, : self._used] = ops
@@ -191,9 +192,11 @@ class GpuFleet(fleet.Fleet):
 
     @property
     def _block_count(self) -> int:
+        """Number of CUDA blocks, each of one warp."""
         return self._layout.count_threads(len(self)) // WARP
 
     def _advance_lanes(self) -> None:
+        """Enqueue the kernel that advances all lanes by a window."""
         self._advance[self._block_count, WARP, self._stream](
             self._words, *self._tables, self._ops, self._results, *self._rest
         )
@@ -204,7 +207,7 @@ class GpuFleet(fleet.Fleet):
         rows = np.repeat(host[:, None], self._words.shape[1], axis=1)
         self._words[first:].copy_to_device(rows)
 
-    def _make_room(self, operations: int) -> None:
+    def _allocate_programs(self, operations: int) -> None:
         """Make arrays for programs with a number of operations, and the CUDA graph that uses them."""
         if operations <= self._operations:
             return
@@ -214,7 +217,7 @@ class GpuFleet(fleet.Fleet):
         self._results = self._cuda.as_cuda_array(self.arrays["results"])
         self._operations = operations
 
-        def step() -> None:
+        def enqueue_step() -> None:
             self._advance_lanes()
             self.physics.step()
 
@@ -222,14 +225,14 @@ class GpuFleet(fleet.Fleet):
             warnings.simplefilter("ignore")  # numba's, of grids that do not fill a GPU
             self.physics.run(self._advance_lanes)  # of no program: nothing moves
             self._graph = None
-            self.physics.run(step)
+            self.physics.run(enqueue_step)
             self.physics.run(self._advance_lanes)
 
-        def steps() -> None:
+        def enqueue_steps() -> None:
             for _ in range(STEPS_A_LAUNCH):
-                step()
+                enqueue_step()
 
-        self._graph = self.physics.capture_graph(steps)
+        self._graph = self.physics.capture_graph(enqueue_steps)
 
 
 def check_stage(stage: Stage) -> None:
@@ -265,6 +268,7 @@ def make_kernels(stage: Stage, layout: LaneLayout, tools: CompilerTools) -> tupl
 
 @cache
 def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: CompilerTools) -> tuple[Any, Any]:
+    """Compile the kernels for chips of one family, with arrays of the given sizes on each thread's stack."""
     lanes, axes, switches, bus, encoders = sizes
     state = vars(core)["STATE"]
     modules = DeviceModules(core, tools)

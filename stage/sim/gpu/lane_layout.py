@@ -60,6 +60,7 @@ class LaneLayout:
         self._set_tables(spans)
 
     def _set_tables(self, spans: list[list[tuple[int, int]]]) -> None:
+        """Set the tables that all copies share."""
         state = self._state
         self.rows = np.zeros(self.lanes, LANE_ROW)
         self.axis_numbers = np.zeros((self.lanes, self.axes), np.int64)
@@ -99,6 +100,7 @@ class LaneLayout:
         return out
 
     def _make_lane(self, lane_index: int) -> np.ndarray:
+        """Return the words of one lane in the present state of the stage."""
         state, pieces, axes = self._state, [], self._axes[lane_index]
         host = np.zeros(1, HOST)
         host["status"] = engine_records.REACHED

@@ -231,6 +231,7 @@ def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
 
 
 def _compile_model(spec: Any) -> Any:
+    """Compile an MjSpec, or raise ModelError with MuJoCo's message."""
     try:
         return spec.compile()
     except (ValueError, RuntimeError) as error:

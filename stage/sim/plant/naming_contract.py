@@ -121,6 +121,7 @@ class _AxisBinder:
         self.switches = SwitchFinder(model, self.problems, axes)
 
     def bind(self) -> tuple[PlantAxis, ...]:
+        """Bind all axes, or raise ModelError with everything that is wrong."""
         off = mujoco.mjtDisableBit
         if self.model.opt.disableflags & (off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_SENSOR):
             raise ModelError("switches are contact sensors, and the model's <option><flag/> disables contact, constraint "
@@ -131,6 +132,7 @@ class _AxisBinder:
         return tuple(replace(a, tandem=tandems.get(a.name, ())) for a in bound if a is not None)
 
     def _find_id(self, kind: Any, name: str) -> int:
+        """Return the id of a named object of the model, -1 if there is none."""
         return int(mujoco.mj_name2id(self.model, kind, name))
 
     def _find_tandem_axes(self) -> dict[str, tuple[str, ...]]:
@@ -170,6 +172,7 @@ class _AxisBinder:
     # --- joint and actuator ---
 
     def _bind_axis(self, name: str) -> PlantAxis | None:
+        """Bind one axis; None if it breaks the contract, with the reasons in `problems`."""
         m, obj = self.model, mujoco.mjtObj
         joint, actuator = self._find_id(obj.mjOBJ_JOINT, name), self._find_id(obj.mjOBJ_ACTUATOR, name)
         if joint < 0:
@@ -244,6 +247,7 @@ class _AxisBinder:
         return unfitted
 
     def _find_index_angle(self, name: str, gear: float, switches: Iterable[Switch]) -> float:
+        """Return the rotor angle of the index pulse, in turns, from the model or by default from ORG."""
         m = self.model
         k = self._find_id(mujoco.mjtObj.mjOBJ_NUMERIC, f"{name}_index")
         if k >= 0:
@@ -254,6 +258,7 @@ class _AxisBinder:
         return next(((s.touch * gear / (2 * np.pi) + 0.5) % 1.0 for s in switches if s.pin == "org"), 0.0)
 
     def _acts_on_joint(self, joint: int, actuator: int) -> bool:
+        """Return whether an actuator acts on a joint."""
         m = self.model
         return bool(
             m.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT and m.actuator_trnid[actuator][0] == joint
@@ -267,6 +272,7 @@ class _AxisBinder:
         return self._acts_on_joint(joint, actuator) and bool(stateless and resistance > 0 and constant > 0)
 
     def _is_motor(self, joint: int, actuator: int) -> bool:
+        """Return whether an actuator is a plain <motor> on a joint."""
         m = self.model
         return self._acts_on_joint(joint, actuator) and bool(
             m.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE

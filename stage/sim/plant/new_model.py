@@ -72,7 +72,7 @@ class NewAxis:
 
     @property
     def endless(self) -> bool:
-        """Whether the axis turns endlessly, without end limits."""
+        """True for an axis that turns endlessly, without end limits."""
         return self.kind == "hinge" and self.travel > WIDEST
 
 
@@ -204,6 +204,7 @@ def _build_bodies(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list
 
 
 def _describe_travel(axis: NewAxis) -> str:
+    """Describe the travel of an axis, for a comment in the model."""
     if axis.endless:
         return "turns without end"
     return f"{axis.travel * 1e3:g} mm" if axis.kind == "slide" else f"{axis.travel:g} degrees"
@@ -214,6 +215,7 @@ def _indent(lines: Sequence[str]) -> list[str]:
 
 
 def _compute_gear(axis: NewAxis) -> float:
+    """Compute the rotor radians per joint unit of an axis."""
     return 2 * math.pi / SCREW_LEAD_M if axis.kind == "slide" else float(GEAR_RATIO)
 
 
@@ -301,4 +303,5 @@ def _build_hinge(axis: NewAxis) -> _AxisParts:
 
 
 def _make_pair(axis: NewAxis, switch: _SwitchGeom) -> str:
+    """Return the MJCF line of the contact pair of a switch."""
     return f'<pair class="switch" geom1="{axis.name}_{switch.name}_vane" geom2="{axis.name}_{switch.name}_beam"/>'

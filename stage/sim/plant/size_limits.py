@@ -57,6 +57,7 @@ class _ModelSizeCounter:
         self._folders = {path.parent}
 
     def check(self) -> None:
+        """Count the whole model. Raises ModelError if it exceeds a limit."""
         self._add_file(self.path, 1, ())
         self._check_limit("size", "numbers of user data", self._elements * self._user_numbers, MAX_SAMPLES)
 
@@ -88,6 +89,7 @@ class _ModelSizeCounter:
             stack.extend((child, inner) for child in element)
 
     def _add_element(self, element: ElementTree.Element, copies: int) -> None:
+        """Count an XML element and the elements inside it `copies` times."""
         tag = element.tag
         if tag in ("composite", "flexcomp"):
             points = max(len(element.get(name, "").split()) // 3 for name in ("vertex", "point"))
@@ -110,6 +112,7 @@ class _ModelSizeCounter:
             self._check_limit(tag, "readings", self._readings, MAX_ARRAY_SIZE)
 
     def _add_sizes(self, element: ElementTree.Element) -> None:
+        """Count the sizes that an element declares, such as the userdata of <size>."""
         for name, value in element.items():
             if _SIZES.fullmatch(name):
                 self._check_limit(element.tag, name, _multiply_counts(value), MAX_ARRAY_SIZE)
@@ -123,6 +126,7 @@ class _ModelSizeCounter:
         self._check_limit(element.tag, unit, self._samples, MAX_SAMPLES)
 
     def _check_limit(self, tag: str, unit: str, count: int, limit: int) -> None:
+        """Raise ModelError if a count exceeds a limit."""
         if count > limit:
             raise ModelError(
                 f"{self.path} expands to {count:,} {unit} at its <{tag}>, and a model may have {limit:,}. Lower the sizes "
@@ -137,6 +141,7 @@ class _ModelSizeCounter:
                 yield from self._find_file(value, max_bytes)
 
     def _find_file(self, name: str, max_bytes: int = MAX_FILE_BYTES) -> Iterator[Path]:
+        """Yield the path of a file that the model names, if it exists and is small enough."""
         for folder in self._folders if name else ():
             path = folder / name
             if path.exists():

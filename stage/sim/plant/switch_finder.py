@@ -81,6 +81,7 @@ class SwitchFinder:
         self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes
 
     def _find_sensor_id(self, name: str) -> int:
+        """Return the id of a sensor by its name, -1 if there is none."""
         return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name))
 
     @property
@@ -213,6 +214,7 @@ class SwitchFinder:
         return at
 
     def _set_joint_position(self, joint: int, position: float) -> None:
+        """Set the position of one joint, and the positions of the other joints to qpos0."""
         self.data.qpos[:] = self.model.qpos0
         self.data.qpos[self.model.jnt_qposadr[joint]] = position
 
@@ -222,6 +224,7 @@ class SwitchFinder:
         mujoco_callbacks.forward_guarded(self.model, self.data)
 
     def _measure_distance(self, joint: int, position: float, vane: int, switch: int) -> float:
+        """Measure the distance of vane and switch with one joint at a position, m."""
         self._set_joint_position(joint, position)
         mujoco.mj_kinematics(self.model, self.data)
         return mujoco.mj_geomDistance(self.model, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
@@ -273,6 +276,7 @@ class SwitchFinder:
         return dict(zip(pairs, self._measure_distances(joint, _make_scan_grid(low, high), pairs).T, strict=True))
 
     def _list_pushing_pairs(self) -> list[set[int]]:
+        """List the pairs of geoms that push each other now."""
         contact, count = self.data.contact, self.data.ncon
         if not count:
             return []

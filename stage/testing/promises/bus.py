@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stage.chips import Chip, Diagnostic, contract
-from stage.chips.describe import MAX_LINE_LENGTH, decode
+from stage.chips.cycle_descriptions import MAX_LINE_LENGTH, decode
 from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
 from stage.testing.chip_acts import copy_state, describe_differences, perform_act, perform_acts
@@ -149,7 +149,7 @@ def check_register_cycles(trial: PromiseTrial) -> None:
 def check_command_cycles(trial: PromiseTrial) -> None:
     """Check that every command is sent by bus cycles that exist on the bus, if the family lists cycles for commands."""
     map_ = trial.chip_class.MAP
-    sent: list[Command | Word] = [*map_.commands, *(w for w in map_.words if w.written)]
+    sent: list[Command | Word] = [*map_.commands, *(w for w in map_.words if w.is_written)]
     for what in sent:
         name = what.name if isinstance(what, Word) else what.symbol
         takes = isinstance(what, Word) or what.choice or (what.bytes and "read" not in what.kind)

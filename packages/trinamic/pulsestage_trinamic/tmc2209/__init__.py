@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
 from pulsestage_trinamic.tmc2209 import core, driver, lint, maps
-from pulsestage_trinamic.tmc2209.describe import CycleDescriber, Decoder
+from pulsestage_trinamic.tmc2209.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc2209.maps import MAP
 from pulsestage_trinamic.tmc2209.state import MS1, MS2
 from pulsestage_trinamic.tmc2209.uart_port import UartPort

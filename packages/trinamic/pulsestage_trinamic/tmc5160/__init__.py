@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from pulsestage_trinamic.tmc5160 import core, encoder, lint
-from pulsestage_trinamic.tmc5160.describe import CycleDescriber, Decoder
+from pulsestage_trinamic.tmc5160.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc5160.maps import ADDRESSES, M32, M40, MAP, MOTION, SPI_DATAGRAM
 from stage.chips.chip import Chip
 from stage.chips.diagnostics import Finding

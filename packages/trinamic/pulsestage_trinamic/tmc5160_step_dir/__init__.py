@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
 from pulsestage_trinamic.tmc5160.maps import M32
 from pulsestage_trinamic.tmc5160_step_dir import core, maps
-from pulsestage_trinamic.tmc5160_step_dir.describe import CycleDescriber, Decoder
+from pulsestage_trinamic.tmc5160_step_dir.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc5160_step_dir.maps import MAP
 from stage.chips.stepdir import STEPDIR
 from stage.chips.stepdir.line_names import Line

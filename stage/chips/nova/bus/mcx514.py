@@ -28,10 +28,12 @@ SHARED_REGISTERS = sum(1 << c.code for c in MAP.commands if c.kind == "data writ
 
 
 def _find_command_code(symbol: str) -> int:
+    """Return the code of a command by its symbol in the register map."""
     return MAP.command(symbol).code
 
 
 def _find_field_mask(word: str, name: str) -> int:
+    """Return the mask of a field of a word in the register map."""
     return MAP.mask(word, name)
 
 

@@ -191,7 +191,7 @@ def find_next_rp_change(chip, axis):
 
 
 @hot
-def find_next_change(chip, axis):
+def find_next_speed_or_timer_change(chip, axis):
     """Find the clock at which a comparison with the speed or the timer may change."""
     at = NEVER
     if chip.variant != MCX514_TYPE:

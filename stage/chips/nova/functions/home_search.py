@@ -35,14 +35,17 @@ SIGNAL, LIMIT = 1, 2  # values of `home_trigger`
 
 
 def _find_h1m_mask(name: str) -> int:
+    """Return the mask of a field of the register H1M of the MCX514."""
     return MCX514_MAP.mask("H1M", name)
 
 
 def _find_h2m_mask(name: str) -> int:
+    """Return the mask of a field of the register H2M of the MCX514."""
     return MCX514_MAP.mask("H2M", name)
 
 
 def _find_hm_mask(name: str) -> int:
+    """Return the mask of a field of the register HM of the older chips."""
     return MCX304_MAP.mask("HM", name)
 
 
@@ -139,16 +142,16 @@ def _is_limit_ahead(chip, axis, search_step):
 
 
 @hot
-def _find_signal_cause(chip, axis, search_step):
+def _find_signal_status_bits(chip, axis, search_step):
     """Return the finishing status that the signal of step 1 or 2 sets, bits of RR2."""
     stop = _find_stop_input(chip, axis, search_step)
     if stop == 0:
-        return _find_limit_cause(chip, axis, search_step)
+        return _find_limit_status_bits(chip, axis, search_step)
     return state.F_STOP0 if stop == state.STOP0 else state.F_STOP1
 
 
 @hot
-def _find_limit_cause(chip, axis, search_step):
+def _find_limit_status_bits(chip, axis, search_step):
     """Return the finishing status that the limit in the direction of a step sets, bits of RR2."""
     return state.F_LMT_PLUS if _find_step_direction(chip, axis, search_step) > 0 else state.F_LMT_MINUS
 
@@ -270,19 +273,19 @@ def _watch_step_drive(chip, axis):
         if _is_limit_ahead(chip, axis, 1):
             axis.home_trigger = LIMIT
             if axis.limits_decelerate:
-                single_axis_drive.begin_decelerating_stop(chip, axis, _find_limit_cause(chip, axis, 1))
+                single_axis_drive.begin_decelerating_stop(chip, axis, _find_limit_status_bits(chip, axis, 1))
             else:
-                single_axis_drive.end_drive(chip, axis, _find_limit_cause(chip, axis, 1))
+                single_axis_drive.end_drive(chip, axis, _find_limit_status_bits(chip, axis, 1))
         elif not axis.home_trigger and _is_signal_active(chip, axis, 1):
             axis.home_trigger = SIGNAL
-            single_axis_drive.begin_decelerating_stop(chip, axis, _find_signal_cause(chip, axis, 1))
+            single_axis_drive.begin_decelerating_stop(chip, axis, _find_signal_status_bits(chip, axis, 1))
     elif axis.home_state == SEARCH:
         if _is_signal_active(chip, axis, 2):
             axis.home_trigger = SIGNAL
-            single_axis_drive.end_drive(chip, axis, _find_signal_cause(chip, axis, 2))
+            single_axis_drive.end_drive(chip, axis, _find_signal_status_bits(chip, axis, 2))
         elif _is_limit_ahead(chip, axis, 2):
             axis.home_trigger = LIMIT
-            single_axis_drive.end_drive(chip, axis, _find_limit_cause(chip, axis, 2))
+            single_axis_drive.end_drive(chip, axis, _find_limit_status_bits(chip, axis, 2))
     elif axis.home_state == PASS_SIGNAL:
         if _is_signal_active(chip, axis, 2):
             axis.home_state = BACK_OUT

@@ -249,5 +249,6 @@ def count_pulses_to_event(chip, axis):
 def find_next_event(chip, axis):
     """Return the clock of the next event of timer, comparisons or pulses; NEVER if there is none."""
     return least(
-        least(timer.find_timer_end(axis), compare.find_next_change(chip, axis)), ports.find_next_pulse_end(chip, axis)
+        least(timer.find_timer_end(axis), compare.find_next_speed_or_timer_change(chip, axis)),
+        ports.find_next_pulse_end(chip, axis),
     )

@@ -11,6 +11,7 @@ from stage.native import greatest, hot, least
 
 
 def _find_command_code(symbol: str) -> int:
+    """Return the code of a command by its symbol in the register map."""
     return MAP.command(symbol).code
 
 

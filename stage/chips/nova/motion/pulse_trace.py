@@ -44,7 +44,7 @@ def log_pulses(chip, until, pulses, first, pulse_index):
     begin = pulse_index
     for j in range(chip.axes):
         axis = chip.ax[j]
-        _clear_prediction(axis)
+        _clear_predicted_pulse(axis)
         if axis.driving and not axis.interpolates:
             _predict_pulse(axis, 1)
     while pulse_index < len(pulses):
@@ -70,14 +70,14 @@ def log_pulses(chip, until, pulses, first, pulse_index):
             pulse_index += 1
             _predict_pulse(axis, 1)
     for j in range(chip.axes):
-        _clear_prediction(chip.ax[j])
+        _clear_predicted_pulse(chip.ax[j])
         chip.ax[j].next_pulse_clock = 0
     _merge_by_clock(pulses, first, begin, pulse_index)
     return pulse_index
 
 
 @hot
-def _clear_prediction(axis):
+def _clear_predicted_pulse(axis):
     """Clear the predicted next pulse of an axis."""
     axis.logged_pulses = axis.next_pulse_piece = axis.even_pps = axis.even_rest = 0
     axis.next_pulse_clock = NEVER

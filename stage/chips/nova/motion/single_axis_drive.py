@@ -416,7 +416,7 @@ def begin_pulses_until(chip, axis, clock):
 
 
 @hot
-def check_drive(chip, axis):
+def update_drive(chip, axis):
     """End the drive if it is complete, else update its ramp phase. Call this after each advance of time and each change."""
     if not axis.driving:
         return

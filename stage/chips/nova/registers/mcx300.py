@@ -22,12 +22,14 @@ NO_ACTIONS = "no synchronous action comes"
 
 
 def _make_speed_register(code: int, name: str, title: str, note: str, legal: tuple[int, int] = SPEED) -> Register:
+    """Return a register for a speed in multiples of R."""
     return Register(name, code, 16, "W", title, legal, evidence="C", reset=1, note=note)
 
 
 def _make_position_register(
     code: int, name: str, title: str, note: str = "", access: str = "W", evidence: str = "C", signed: bool = True
 ) -> Register:
+    """Return a 32-bit register for a position or a number of pulses."""
     return Register(name, code, 32, access, title, evidence=evidence, unit="pulses", signed=signed, reset=0, note=note)
 
 
@@ -64,10 +66,12 @@ INTERPOLATION_REGISTERS = ("C", "L")
 
 
 def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False) -> Command:
+    """Return a command that drives axes."""
     return Command(code, symbol, title, "drive", evidence="C", starts=starts)
 
 
 def _make_interpolation_command(code: int, symbol: str, title: str, note: str = "") -> Command:
+    """Return an interpolation command, which is not sent to axes."""
     return Command(code, symbol, title, "interpolation", evidence="C", axes=False, note=note)
 
 
@@ -118,6 +122,7 @@ def find_chips_with(row: Register | Command) -> tuple[str, ...]:
 
 
 def _make_register_map(chip: str, axes: int) -> RegisterMap:
+    """Return the register map of the MCX304, MCX302 or MCX312."""
     interpolates = chip in INTERPOLATING
     return RegisterMap(
         chip,

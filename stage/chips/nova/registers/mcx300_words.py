@@ -204,6 +204,7 @@ BIT_PATTERN = tuple(
 
 
 def _make_main_status_word(axes: int, interpolates: bool) -> Word:
+    """Return RR0, the main status, for a number of axes."""
     fields = [
         make_axis_bits("n-DRV", 0, axes, " is driving"),
         make_axis_bits("n-ERR", 4, axes, ": an error bit of RR1 or RR2 is set"),

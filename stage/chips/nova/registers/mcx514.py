@@ -101,10 +101,12 @@ def _make_read_commands(registers: tuple[Register, ...]) -> tuple[Command, ...]:
 
 
 def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> Command:
+    """Return a command that drives axes."""
     return Command(code, symbol, title, "drive", evidence="C", starts=starts, note=note)
 
 
 def _make_interpolation_command(code: int, symbol: str, title: str) -> Command:
+    """Return an interpolation command, which is not sent to axes."""
     return Command(code, symbol, title, "interpolation", evidence="C", axes=False)
 
 
@@ -114,10 +116,12 @@ def _make_segment_command(code: int, symbol: str, title: str, *axes: int, points
 
 
 def _make_command(code: int, symbol: str, title: str, axes: bool = True) -> Command:
+    """Return a command without data."""
     return Command(code, symbol, title, "other", evidence="C", axes=axes)
 
 
 def _make_sync_command(code: int, symbol: str, verb: str) -> Command:
+    """Return a command for the synchronous action sets that its `choice` bits select."""
     note, chooses = "bits 0 to 3 of the code", tuple(f"SYNC{m}" for m in range(4))
     return Command(code, symbol, verb, "sync", evidence="C", choice=0x0F, note=note, chooses=chooses)
 
@@ -174,10 +178,11 @@ _NEEDS_HELICES = ("HLN", "HLV", "CHLN", "HLCW", "HLCCW", "HLPCW", "HLPCCW")
 
 
 def _make_register_map(chip: str, axes: int, title: str) -> RegisterMap:
+    """Return the register map of the MCX514, MCX512 or MCX501 by the number of axes."""
     lacks = {*(_NEEDS_HELICES if axes < 3 else ()), *(_NEEDS_INTERPOLATION if axes < 2 else ())}
     registers = tuple(r for r in (*PARAMETERS, *list_mode_registers(axes), *PRESENT) if r.name not in lacks)
 
-    def has(c: Command) -> bool:
+    def is_on_chip(c: Command) -> bool:
         if c.symbol in lacks or (c.kind == "interpolation" and axes < 2):
             return False
         return not c.together or min(c.together) <= axes
@@ -189,7 +194,7 @@ def _make_register_map(chip: str, axes: int, title: str) -> RegisterMap:
         _make_command(0x1F, "NOP", "axis selection only"),
         *(make_write_command(r, "mode write", axes=r.name not in NO_AXIS) for r in registers if r.name in modes_of),
         *_make_read_commands(registers),
-        *(c for c in _ACTIONS if has(c)),
+        *(c for c in _ACTIONS if is_on_chip(c)),
     )
     return RegisterMap(
         chip,

@@ -23,11 +23,13 @@ from stage.chips.register_map import Field, Register, Word
 def _make_mode_register(
     code: int, name: str, title: str, *fields: Field, access: str = "W", evidence: str = "C"
 ) -> Register:
+    """Return a mode register, whose number is the code of the command that writes it."""
     ordered = tuple(sorted(fields, key=lambda f: -f.high))
     return Register(name, code, 16, access, title, None, ordered, evidence, reset=0)
 
 
 def _make_pio_field(pin_index: int) -> Field:
+    """Return the field that selects the function of a PIO pin."""
     third = "sync pulse" if pin_index < 4 else f"MR{pin_index - 4} comparison"
     return make_bits(
         f"P{pin_index}M",
@@ -39,6 +41,7 @@ def _make_pio_field(pin_index: int) -> Field:
 
 
 def _make_sync_mode(set_index: int, axes: int = 4) -> Register:
+    """Return the mode register of a synchronous action set."""
     actions_of_set = {
         4: f"MR{set_index} -> {('LP', 'RP', 'SV', 'AC')[set_index]}",
         8: ("CV -> MR0", "CA -> MR1", "none", "none")[set_index],
@@ -86,6 +89,7 @@ FILTERS = tuple(f"{0.5 * 2**n:g} us" for n in range(16))
 
 
 def _make_interpolation_mode(axes: int) -> Register:
+    """Return the interpolation mode register IPM for a number of axes."""
     speeds = ("off", "two axes simple", "three axes simple", "two axes high accuracy")
     return _make_mode_register(
         0x2A, "IPM", "interpolation mode",
@@ -194,6 +198,7 @@ def _make_event_bits() -> tuple[Field, ...]:
 
 
 def _make_port_word(name: str, title: str, low: str, high: str) -> Word:
+    """Return a word with the PIO levels of two axes."""
     fields = (
         make_bits(f"{high}-PIO", 15, 8, f"PIO7 to PIO0 of {high}"),
         make_bits(f"{low}-PIO", 7, 0, f"PIO7 to PIO0 of {low}"),
@@ -284,6 +289,7 @@ _FOUR = (
 
 
 def _make_status_word(axes: int) -> Word:
+    """Return RR0, the main status, for a number of axes."""
     fields = [
         make_axis_bits("n-DRV", 0, axes, " is driving", "C" if axes > 1 else "I"),
         make_axis_bits("n-ERR", 4, axes, ": an error bit of RR2 is set", "M" if axes > 1 else "I"),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from stage.chips import describe
-from stage.chips.describe import FieldDescriber, Statement, shorten_line
+from stage.chips import cycle_descriptions
+from stage.chips.cycle_descriptions import FieldDescriber, Statement, shorten_line
 from stage.chips.hctl1100 import maps
 from stage.chips.hctl1100.state import IDLE, STORED
 from stage.chips.register_map import Register, RegisterMap
@@ -17,7 +17,7 @@ _IDLE = [v for v, mode in MODES.items() if mode in ("reset", "Init/Idle")]
 """Values of R05 that lead to Init/Idle."""
 
 
-class Decoder(describe.Decoder):
+class Decoder(cycle_descriptions.Decoder):
     """Decoder of journals of the HCTL-1100. Each write concerns one register, so that no write waits for later ones."""
 
     def __init__(self, map_: RegisterMap):
@@ -33,13 +33,14 @@ class Decoder(describe.Decoder):
         return f"{address:02X} {value:02X}", self._describe_meaning(address, value)
 
     def _describe_meaning(self, address: int, value: int) -> str:
+        """Describe the meaning of a write to a register."""
         if address == maps.FLAG:
             return f"{SET.describe_value(SET.extract(value))} F{NUMBER.extract(value)}"
         if address == maps.MODE:
             return MODES.get(value, "no mode")
         register = self._registers.get(address)
         return (
-            f"{register.name} <- {register.value(value)} ({register.text})"
+            f"{register.name} <- {register.value(value)} ({register.description})"
             if register
             else f"no register at {address:02X}h"
         )
@@ -92,6 +93,7 @@ class CycleDescriber:
         return self._describe_number(register, value)
 
     def _describe_flag(self, register: Register, value: int) -> str:
+        """Describe a write to R00, which sets or clears a flag."""
         number = NUMBER.extract(value)
         verb = SET.describe_value(SET.extract(value))
         f = next((f for f in register.fields if f.low == number), None)
@@ -112,7 +114,7 @@ class CycleDescriber:
         if self._idle or not preset:
             self._bytes[register.number] = value & STORED[register.number] if not q.waits else value
         if q.waits and (register.number != q.low or (preset and not self._idle)):
-            return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
+            return shorten_line(f"{register.name} = {value:02X}h: {register.description}")
         return shorten_line(f"{register.name} = {value:02X}h: {q.describe(self._bytes)}")
 
     def read(self, address: int, value: int) -> str:
@@ -132,7 +134,7 @@ class CycleDescriber:
         if q is None:
             return self._describe_register(register, value, value)
         if not q.latched:
-            return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
+            return shorten_line(f"{register.name} = {value:02X}h: {register.description}")
         return self._describe_latched_read(register, q, value)
 
     def _describe_latched_read(self, register: Register, quantity: maps.RegisterQuantity, value: int) -> str:
@@ -144,11 +146,12 @@ class CycleDescriber:
         self._bytes[register.number] = value
         if not self._unread and (fresh or register.number == quantity.addresses[0]):
             return shorten_line(f"{register.name} = {value:02X}h: {quantity.describe(self._bytes)}")
-        return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
+        return shorten_line(f"{register.name} = {value:02X}h: {register.description}")
 
     def _describe_register(self, register: Register, value: int, stored: int) -> str:
+        """Describe a register that holds a number of one byte."""
         number = f"{register.value(stored)} {register.unit}".strip()
-        return shorten_line(f"{register.name} = {value:02X}h ({number}): {register.text}")
+        return shorten_line(f"{register.name} = {value:02X}h ({number}): {register.description}")
 
 
 def _find_title(register: Register) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.chips import describe
-from stage.chips.describe import FieldDescriber, Statement, describe_byte, shorten_line
+from stage.chips import cycle_descriptions
+from stage.chips.cycle_descriptions import FieldDescriber, Statement, describe_byte, shorten_line
 from stage.chips.pcl240.maps import CONTROL, COUNTERS, OPERATE, OPERATING_MODE, OUTPUT, SELECT, WRITTEN
 from stage.chips.pcl240.state import GROUP, INT_AT_STOP, RAMP, REGISTER, START, STOP
 from stage.chips.register_map import Register, RegisterMap
@@ -46,6 +46,7 @@ def name_speed(value: int) -> str:
 
 
 def _describe_operating_command(value: int) -> str:
+    """Describe a command of group 00: start, stop, or change of speed."""
     start, stop, ramp = value & START, value & STOP, value & RAMP
     irq = ", /INT at stop" if value & INT_AT_STOP else ""
     if stop and not start:
@@ -62,7 +63,7 @@ def _find_field_mask(map_: RegisterMap, word: str, name: str) -> int:
     return sum(f.mask for f in map_.word(word).fields if f.name == name)
 
 
-class Decoder(describe.Decoder):
+class Decoder(cycle_descriptions.Decoder):
     """Decoder of the journals of a PCL-240. A select command and the bytes of its register together are one statement."""
 
     def __init__(self, map_: RegisterMap):
@@ -109,7 +110,12 @@ class Decoder(describe.Decoder):
         code = f"{self._select:02X} {raw}"
         return [
             Statement(
-                self._clock, "register", code, f"{register.name} <- {value} ({register.text})", register.name, value
+                self._clock,
+                "register",
+                code,
+                f"{register.name} <- {value} ({register.description})",
+                register.name,
+                value,
             )
         ]
 
@@ -163,6 +169,7 @@ class CycleDescriber:
         return shorten_line(meaning)
 
     def _describe_data(self, address: int, value: int) -> str:
+        """Describe a write of a byte of the selected register."""
         register = self._register
         text = describe_byte(register.name, address - 1, value)
         if 8 * (address - 1) >= register.bits and not self._collective:
@@ -188,6 +195,7 @@ class CycleDescriber:
         return (address == 1 or climbs) and not aged and register.writable == register.mask
 
     def _describe_register(self, register: Register, text: str) -> str:
+        """Describe the whole value of a register, field by field if it has fields."""
         value = self._stored[register.name]
         text = f"{text}: {register.name} = {value:X}h ({register.value(value)})"
         return self._fields[register.name].describe(text, value) if register.fields else text

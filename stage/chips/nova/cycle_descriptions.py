@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.chips import describe
-from stage.chips.describe import FieldDescriber, Statement, describe_byte, shorten_line
+from stage.chips import cycle_descriptions
+from stage.chips.cycle_descriptions import FieldDescriber, Statement, describe_byte, shorten_line
 from stage.chips.nova.registers.field_builders import AXES, name_axes
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
@@ -18,12 +18,12 @@ CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
 WRITING_KINDS = ("data write", "mode write")
 
 
-def is_reset(map_: RegisterMap, value: int) -> bool:
+def is_reset_word(map_: RegisterMap, value: int) -> bool:
     """Return whether a word written to WR0 resets the chip by its reset bit, on chips without a reset command."""
     return value == RESET and not any(command.symbol == "RST" for command in map_.commands)
 
 
-class Decoder(describe.Decoder):
+class Decoder(cycle_descriptions.Decoder):
     """Decoder of the journals of a NOVA chip, to the commands for one axis with their data."""
 
     def __init__(self, map_: RegisterMap, axis: int = 0):
@@ -53,6 +53,7 @@ class Decoder(describe.Decoder):
         return [Statement(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h", f"WR{n}", value)]
 
     def _decode_command(self, clock: int, value: int) -> list[Statement]:
+        """Decode a word to WR0: a command to the axis of the decoder, or nothing."""
         axes, command = AXIS.extract(value), self._map.by_code.get(CODE.extract(value))
         self._selected = axes or self._selected
         if axes and not axes & self._bit:
@@ -68,13 +69,14 @@ class Decoder(describe.Decoder):
         return register.value(self._words[7] << 16 | self._words[6])
 
     def _describe_meaning(self, command: Command | None, value: int) -> str:
-        if is_reset(self._map, value):
+        """Describe the meaning of a command word."""
+        if is_reset_word(self._map, value):
             return "reset"
         if command is None:
             return "no command"
         if command.kind in WRITING_KINDS:
             register = self._map.register(command.symbol)
-            return f"{register.name} <- {self._data(register)} ({register.text})"
+            return f"{register.name} <- {self._data(register)} ({register.description})"
         return _describe_command(command, value)
 
 
@@ -142,7 +144,7 @@ class CycleDescriber:
         """Describe a word to WR0."""
         command, axis_bits = self._map.by_code.get(CODE.extract(value)), AXIS.extract(value)
         axes = axis_bits & self._there if self._map.axes > 1 else 1
-        if is_reset(self._map, value) or (command is not None and command.symbol == "RST" and not axis_bits):
+        if is_reset_word(self._map, value) or (command is not None and command.symbol == "RST" and not axis_bits):
             self._reset()
             return "reset" if command is None or command.symbol != "RST" else command.title
         self._selected = axes or self._selected
@@ -161,6 +163,7 @@ class CycleDescriber:
         return self._describe_executed_command(command, value, axes, head)
 
     def _describe_executed_command(self, command: Command, value: int, axes: int, head: str) -> str:
+        """Describe a command that the chip executes, with its data and its axes."""
         if command.kind in WRITING_KINDS:
             register = self._map.register(command.symbol)
             return self._describe_contents(
@@ -181,6 +184,7 @@ class CycleDescriber:
         return f"{axis}read {place.title} {name}"
 
     def _reset(self) -> None:
+        """Reset the selected axes, pages and data registers, as a reset of the chip does."""
         self._selected, self._pages, self._pattern, self._reading = 1, 0, False, None
         self._by_axis, self._common = [[0] * 4 for _ in self._by_axis], [0] * 8
 

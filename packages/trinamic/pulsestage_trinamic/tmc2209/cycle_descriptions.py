@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pulsestage_trinamic.tmc2209 import maps
-from stage.chips.describe import FieldDescriber, Statement, shorten_line
-from stage.chips.stepdir import describe as step_timer
+from stage.chips.cycle_descriptions import FieldDescriber, Statement, shorten_line
+from stage.chips.stepdir import cycle_descriptions as step_timer
 
 _FIELDS = {r.number: FieldDescriber(r) for r in maps.DRIVER_REGISTERS if r.fields}
 

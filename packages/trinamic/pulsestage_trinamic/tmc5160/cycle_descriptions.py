@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from pulsestage_trinamic.tmc5160 import maps
-from stage.chips import describe
-from stage.chips.describe import FieldDescriber, Statement, shorten_line
+from stage.chips import cycle_descriptions
+from stage.chips.cycle_descriptions import FieldDescriber, Statement, shorten_line
 
 _FIELDS = {r.number: FieldDescriber(r) for r in maps.MAP.registers if r.fields}
 CLEARED = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
@@ -45,7 +45,7 @@ def describe_datagram(datagram: int) -> str:
     return f"SPI: read {r.name if r else f'{address:02X}h, which reads 0'}"
 
 
-class Decoder(describe.Decoder):
+class Decoder(cycle_descriptions.Decoder):
     """Decoder of bus cycles that collects the bytes of an SPI datagram until its end."""
 
     def __init__(self) -> None:
@@ -105,7 +105,7 @@ def describe_write(address: int, value: int) -> str:
 
 
 class CycleDescriber:
-    """Describer of single bus cycles, see `stage.chips.describe.CycleDescriber`.
+    """Describer of single bus cycles, see `stage.chips.cycle_descriptions.CycleDescriber`.
 
     It follows the bytes of a datagram, beginning with those in the chip's record.
     """

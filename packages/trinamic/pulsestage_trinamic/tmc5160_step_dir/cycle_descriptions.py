@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import describe as chip
+from pulsestage_trinamic.tmc5160 import cycle_descriptions as chip
 from pulsestage_trinamic.tmc5160 import maps as chip_maps
 from pulsestage_trinamic.tmc5160_step_dir import maps
-from stage.chips.describe import Statement
-from stage.chips.stepdir import describe as step_timer
+from stage.chips.cycle_descriptions import Statement
+from stage.chips.stepdir import cycle_descriptions as step_timer
 
 
 def _find_chip_address(address: int) -> int | None:

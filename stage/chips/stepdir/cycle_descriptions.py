@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stage.chips import describe
-from stage.chips.describe import FieldDescriber, Statement
+from stage.chips import cycle_descriptions
+from stage.chips.cycle_descriptions import FieldDescriber, Statement
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL, CONTROL_ADDRESS, DATA_MASK, MAP, STATUS
 
 NAMES = {r.number: r.name for r in MAP.registers}
@@ -31,7 +31,7 @@ class CycleDescriber:
         return f"{NAMES[address]} = {MAP.register(NAMES[address]).value(value)}" if address in NAMES else "no register"
 
 
-class Decoder(describe.Decoder):
+class Decoder(cycle_descriptions.Decoder):
     """Decoder of the writes to the step timer in a journal."""
 
     def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:

@@ -164,6 +164,7 @@ class FieldDescriber:
         return known
 
     def _join_descriptions(self, value: int, room: int) -> str:
+        """Join the descriptions of all fields, in at most `room` characters."""
         words, names = [], []
         for f, low, mask, sayings in self._fields:
             v = value >> low & mask
@@ -204,5 +205,6 @@ def _list_meanings(field: Field, silent: bool) -> dict[int, str]:
 
 
 def _describe_number(field: Field, value: int) -> str:
+    """Describe a value of a field for which the register map has no words."""
     subject = field.meaning or field.name
     return f"{subject} = {value}" if field.high - field.low < MAX_DECIMAL_BITS else f"{subject} = {value:X}h ({value})"
