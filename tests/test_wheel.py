@@ -1,5 +1,6 @@
 """The wheel, as a user installs it, and what builds and tests it."""
 
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -29,6 +30,21 @@ def test_libraries_with_private_parts_in_use_have_an_upper_version_bound(library
     every = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["rerun"]]
     (needed,) = (need for need in every if re.match(rf"{library}\b", need))
     assert re.search(r">=[\d.]+,<[\d.]+", needed)
+
+
+@pytest.mark.parametrize(
+    "project",
+    [".", "packages/registerbench", "packages/trinamic", "scripts/acme_chip"],
+    ids=lambda path: Path(path).name,
+)
+def test_the_build_backend_that_a_project_names_is_a_module(project, monkeypatch):
+    # a renamed module, and pip install -e . in a fresh checkout: cannot import build backend
+    settings = tomllib.loads((ROOT / project / "pyproject.toml").read_text())
+    classes = settings["tool"]["setuptools"].get("cmdclass", {}).values()
+    for path in settings["build-system"].get("backend-path", ()):
+        monkeypatch.syspath_prepend(ROOT / project / path)
+    for name in (settings["build-system"]["build-backend"], *(name.rpartition(".")[0] for name in classes)):
+        assert importlib.util.find_spec(name), name
 
 
 @pytest.mark.parametrize("workflow", sorted((ROOT / ".github" / "workflows").glob("*.yml")), ids=lambda path: path.stem)
