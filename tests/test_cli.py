@@ -200,7 +200,7 @@ def test_the_table_of_the_erratum_has_the_unit_of_its_axis(unit):
     from stage.cli.erratum import ErratumResult
 
     figures = {"position, mm": 1.5, "speed, pps": 0, "n-DRV 2 s later": 0}
-    rows = ErratumResult("MCX304", True, (figures, figures), (None, None), unit).table().splitlines()[1:]
+    rows = ErratumResult("MCX304", True, (figures, figures), (None, None), unit).format_table().splitlines()[1:]
     symbol, value = {"m": ("mm", "1.5000"), "rad": ("deg", "0.0859")}[unit]
     assert [row.split("  ")[0] for row in rows] == [f"position, {symbol}", "speed, pps", "n-DRV 2 s later"]
     assert rows[0].split()[2:] == [value, value]

@@ -63,7 +63,7 @@ def interrupted(monkeypatch):
         port.axis.stage.run(0.05)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stage.firmware.pcl240.chip_port.Port.wait_until_stopped", wait)
+    monkeypatch.setattr("stage.firmware.pcl240.chip_port.ChipPort.wait_until_stopped", wait)
 
 
 def test_ctrl_c_draws_the_move_until_then_and_reports_the_interrupt(interrupted, work_folder, capsys):

@@ -261,7 +261,7 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
     monkeypatch.setattr(rerun_viewer, "open_viewer", lambda path: saved.append(f"view {path}"))
     monkeypatch.setattr(rerun_viewer, "check_screen", lambda what: None)
     args = argparse.Namespace(
-        record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False, wrote=[]
+        record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False, written_files=[]
     )
     with output_files.record_to_files(args, bench):
         pass
@@ -508,7 +508,7 @@ def test_progress_is_printed_on_a_terminal_but_not_in_a_pipe(monkeypatch):
         (io.StringIO(), ""),
     ):
         monkeypatch.setattr("sys.stderr", screen)
-        terminal.note("writing ...")
+        terminal.show_status("writing ...")
         for done in (0, 0.5, 1.0):
             terminal.show_progress("pull-out", done)
         assert screen.getvalue() == expected

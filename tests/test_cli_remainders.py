@@ -9,7 +9,7 @@ from stage.cli import erratum_picture, main, output_files
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstration_plot
 from stage.cli.fault.demonstrations import DEMOS, DemoResult
-from stage.cli.terminal import Output
+from stage.cli.terminal import ClosableOutput
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_after_ctrl_c_only_a_command_that_draws_its_reports_does(block, drawn, t
     stop.reports = [Report()]
     none = dict.fromkeys(("record", "vcd", "picture", "trace"))
     args = SimpleNamespace(
-        **none, view=False, web=False, json=False, force=False, plot=str(tmp_path / "a.png"), wrote=[]
+        **none, view=False, web=False, json=False, force=False, plot=str(tmp_path / "a.png"), written_files=[]
     )
     with pytest.raises(KeyboardInterrupt), block(args, Stage("xy", visuals=False)):
         raise stop
@@ -71,6 +71,6 @@ def test_output_is_flushed_on_request_and_at_the_end():
             self.done += 1
 
     stream = Stream()
-    out = Output(stream)
+    out = ClosableOutput(stream)
     print("a", file=out, flush=True)
     assert (stream.done, out.error) == (1, None)

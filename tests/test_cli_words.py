@@ -11,7 +11,7 @@ import pytest
 from stage import ArgumentError, Stage, firmware
 from stage.chips import CHIPS
 from stage.cli import build_parser, main, terminal
-from stage.cli.parser import Parser
+from stage.cli.argument_parser import Parser
 
 COMMANDS = next(a.choices for a in build_parser()._actions if getattr(a, "choices", None))
 

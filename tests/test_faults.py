@@ -120,7 +120,7 @@ def test_what_was_claimed_happens_with_every_chip_or_is_refused_with_its_reason(
             show()
         return
     displayed = show()
-    assert displayed.as_claimed, displayed.table()
+    assert displayed.as_claimed, displayed.format_table()
     (healthy, faulty), happened = displayed.figures, displayed.demo.happened
     assert not happened(healthy, healthy), "a fault that did nothing"
     assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
@@ -154,7 +154,7 @@ ONE_AXIS = """
 def test_axes_on_two_chips_are_started_by_two_commands():
     """stage fault start-skew --chips mcx302"""
     displayed = demos.run_demonstration("start-skew", lambda: Stage("xyz", chips=MCX302, visuals=False))
-    assert displayed.as_claimed, displayed.table()
+    assert displayed.as_claimed, displayed.format_table()
 
 
 # --- all of them ---

@@ -9,16 +9,16 @@ from support.packages import installed
 from stage.cli import main, package_commands
 
 MODULE = """
-from stage.cli.commands import add_command, number, tell
+from stage.cli.commands import add_command, add_facts, parse_integer
 
 def run(args):
     print(f"{args.times} times")
-    tell(args, times=args.times)
+    add_facts(args, times=args.times)
     return 0 if args.times else 1
 
 def add(commands):
     p = add_command(commands, "greet", run, "greet so often", "Greet so often.", ("stage greet 3", "three times"))
-    p.add_argument("times", type=number)
+    p.add_argument("times", type=parse_integer)
 
 def fail(commands):
     raise RuntimeError("no network card")

@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from stage.cli.parser import Parser
+    from stage.cli.argument_parser import Parser
 
 MODULES = (
     "demo", "home", "move", "tune", "mcp", "run", "replay", "serve", "panel", "fault", "erratum", "export", "example", "listing",
@@ -91,8 +91,8 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
         words: The typed words. Commands of other packages are looked for only if the first word is no command of PulseStage.
     """
     from stage import __version__
+    from stage.cli.argument_parser import Parser
     from stage.cli.package_commands import add_package_commands
-    from stage.cli.parser import Parser
 
     parser = Parser(
         prog="stage",
@@ -103,7 +103,7 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for name in MODULES:
-        import_module(f"stage.cli.{name}").add(commands)
+        import_module(f"stage.cli.{name}").add_subcommand(commands)
     if not (words and words[0] in commands.choices):
         add_package_commands(commands)
     return parser

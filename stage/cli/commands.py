@@ -2,15 +2,16 @@
 
     def add_greet(commands):
         p = add_command(commands, "greet", greet, "greet somebody", "Greet somebody.", ("stage greet 3", "three times"))
-        p.add_argument("times", type=number)
+        p.add_argument("times", type=parse_integer)
 
     def greet(args):
         print("hello " * args.times)
-        tell(args, times=args.times)
+        add_facts(args, times=args.times)
         return 0
 
-A command prints its text and says its facts by `tell`. With --json the text goes nowhere, and the facts are printed as one JSON
-object at the end, also where the exit code is 1. Errors are on standard error, as JSON where that is asked for.
+A command prints text, and adds facts by `add_facts`. With --json, the text is dropped and the facts are printed as one JSON object
+at
+the end, also if the exit code is 1. Errors go to standard error, as JSON with --json.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from stage.cli.options import TIME, number
-from stage.cli.parser import EXAMPLES
+from stage.cli.argument_parser import EXAMPLES
+from stage.cli.options import TIME, parse_integer
 
-__all__ = ["TIME", "add_command", "number", "tell", "warn", "wrote"]
+__all__ = ["TIME", "add_command", "parse_integer", "add_facts", "warn", "report_written_file"]
 
 OUTPUT_OPTIONS = ("output", "record", "vcd", "picture", "plot", "trace", "entry")
 """Options that name a file to write."""
@@ -63,7 +64,7 @@ def add_command(
 
     def call(args: argparse.Namespace) -> int:
         """Run the command, with its facts as JSON if --json is given."""
-        args.wrote = []
+        args.written_files = []
         return run_as_json(run, args) if json and args.json else run(args)
 
     p.set_defaults(run=call, parser=p)
@@ -78,18 +79,30 @@ def format_examples(examples: Iterable[tuple[str, str]], more: str = "") -> str:
     return EXAMPLES + lines + (f"\n\n{more}" if more else "")
 
 
-def tell(args: argparse.Namespace, facts: Any = None, /, **more: Any) -> None:
-    """Set the facts of a command, or add entries to them."""
+def add_facts(args: argparse.Namespace, facts: Any = None, /, **more: Any) -> None:
+    """Set the facts of a command, which --json prints, or add entries to them.
+
+    Args:
+        args: Options of the command, which store the facts.
+        facts: All facts, any value that `to_json` converts; None: keep the present ones.
+        **more: Facts to add by name.
+    """
     if facts is not None:
         args.facts = facts
     if more:
         args.facts = getattr(args, "facts", {}) | more
 
 
-def wrote(args: argparse.Namespace, path: Any, text: str) -> None:
-    """Print that a file has been written, and add it to the facts."""
+def report_written_file(args: argparse.Namespace, path: Any, text: str) -> None:
+    """Print that a command has written a file, and add the file to the facts.
+
+    Args:
+        args: Options of the command.
+        path: The file.
+        text: Text after the path, for example the size of the file.
+    """
     print(f"{path}: {text}")
-    args.wrote.append(os.fspath(path))
+    args.written_files.append(os.fspath(path))
 
 
 def warn(args: argparse.Namespace, text: str) -> None:
@@ -111,7 +124,7 @@ def fail(args: argparse.Namespace, error: BaseException, text: str = "") -> None
 
 def describe_interruption(args: argparse.Namespace) -> str:
     """Return the message for a command that Ctrl-C has ended; it names the files that were requested but not written."""
-    written = getattr(args, "wrote", [])
+    written = getattr(args, "written_files", [])
     requested = {name: getattr(args, name, None) for name in OUTPUT_OPTIONS}
     missing = [
         f"--{name} {path}" for name, path in requested.items() if path not in (None, "-") and path not in written
@@ -130,7 +143,7 @@ def run_as_json(run: Callable[[argparse.Namespace], int], args: argparse.Namespa
     facts = to_json(getattr(args, "facts", {}))
     if isinstance(facts, dict):
         more = {
-            "files": args.wrote,
+            "files": args.written_files,
             "warnings": getattr(args, "warnings", None),
             "interrupted": interruption is not None,
         }

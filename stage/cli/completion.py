@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from stage.cli.commands import add_command
 
 if TYPE_CHECKING:
-    from stage.cli.parser import Parser
+    from stage.cli.argument_parser import Parser
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage completion` to argparse's subparsers."""
     p = add_command(
         commands, "completion", run, "print a script that completes commands and options in a shell",

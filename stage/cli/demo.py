@@ -7,10 +7,10 @@ import time
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.cli.output_files import record_to_files
 from stage.cli.stage_setup import make_stage
-from stage.cli.terminal import note, show_simulated_time
+from stage.cli.terminal import show_simulated_time, show_status
 from stage.errors import ArgumentError
 from stage.support.extras import is_installed
 from stage.units import POSITION_UNITS
@@ -24,7 +24,7 @@ START_PPS, DRIVE_PPS, FAST_PPS, DWELL_S = 1500, 20_000, 40_000, 0.25
 HEADINGS = ("axis", "procedure", "asked", "pulses", "s", "peak pps", "position", "lost", "stopped by", "ok")
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage demo` to argparse's subparsers."""
     p = add_command(
         commands, "demo", run, "home and move the axes of a stage, and write demo.rrd",
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from stage.support.opengl import has_screen
 
     begin = time.perf_counter()
-    note("building the stage ...")
+    show_status("building the stage ...")
     stage = make_stage(args)
     for k, group in enumerate(group_tandem_axes(stage.axes.values())):
         low, high = group[0].travel
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         reports = make_moves(stage)
         rows = [format_row(report) for report in reports]
         print(_format_table([HEADINGS, *rows]))
-        tell(args, reports=reports, seconds=stage.time)
+        add_facts(args, reports=reports, seconds=stage.time)
         print(f"{stage.time:.2f} s of simulated time in {time.perf_counter() - begin:.2f} s of wall time")
     return 0 if all(row[-1] == "yes" for row in rows) else 1
 
@@ -72,19 +72,19 @@ def make_moves(stage: Any) -> list[Any]:
     for group in reversed(groups):  # Z first: it clears the way
         names = " and ".join(axis.name for axis in group)
         if any("org" not in axis.switches.as_dict() for axis in group):
-            note(f"axis {names} has no ORG: it stays where it is")
+            show_status(f"axis {names} has no ORG: it stays where it is")
             continue
-        note(f"axis {names}: origin return ...")
-        reports += _home(group, speeds)
+        show_status(f"axis {names}: origin return ...")
+        reports += _home_group(group, speeds)
     first, second = (*groups, *groups)[:2]
     if len(first) > 1:
         first, second = second, first
-    note("a long move ...")
+    show_status("a long move ...")
     reports += _move_at_two_rates(first, speeds)
     if second is first:
         return reports
-    reports += _move(second, SHORT, speeds)
-    note("a straight line ...")
+    reports += _move_group(second, SHORT, speeds)
+    show_status("a straight line ...")
     pulses = {
         axis: find_pulses(axis, share)
         for group, share in ((first, LINE_FIRST), (second, LINE_SECOND))
@@ -103,7 +103,7 @@ def make_moves(stage: Any) -> list[Any]:
     return [*reports, *line.axes.values()]
 
 
-def _home(group: list[Any], speeds: Any) -> list[Any]:
+def _home_group(group: list[Any], speeds: Any) -> list[Any]:
     """Home one axis or the axes of a gantry together.
 
     An axis without SD switch, which would reach ORG at its full rate, is homed at half of the rate.
@@ -117,7 +117,7 @@ def _home(group: list[Any], speeds: Any) -> list[Any]:
     return [firmware.home(axis, speed=speeds if slowed else speeds._replace(drive=DRIVE_PPS / 2))]
 
 
-def _move(group: list[Any], share: float, speeds: Any) -> list[Any]:
+def _move_group(group: list[Any], share: float, speeds: Any) -> list[Any]:
     """Move one axis, or the axes of a gantry along a line, by a share of the travel."""
     from stage import firmware
 
@@ -142,8 +142,8 @@ def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:
         try:
             return [move_at_two_rates(group[0], pulses=pulses, speed=speeds.with_second(FAST_PPS), dwell=DWELL_S)]
         except ArgumentError as error:
-            note(f"no two rates: {error}")
-    return _move(group, LONG, speeds)
+            show_status(f"no two rates: {error}")
+    return _move_group(group, LONG, speeds)
 
 
 def find_pulses(axis: Any, share: float) -> int:

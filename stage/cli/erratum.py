@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.cli.fault import SAMPLE_INTERVAL_S
 from stage.cli.output_files import check_outputs, draw_plot, record_for_plot
-from stage.cli.terminal import note
+from stage.cli.terminal import show_status
 from stage.errors import StageError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ OBSERVATION_S = 2.0
 """Time from the command to stop until the figures are read."""
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage erratum` to argparse's subparsers."""
     p = add_command(
         commands, "erratum", run, "show the S-curve failure of MCX304, MCX302 and MCX312, and a work-around",
@@ -77,7 +77,7 @@ class ErratumResult:
         ]
         return good[1] and (good[0] if self.mended else bare["n-DRV 2 s later"] == 1 and bare["lost steps"] > 0)
 
-    def table(self) -> str:
+    def format_table(self) -> str:
         """Return the measured values of both runs, a line for each."""
         from stage.cli.fault.demonstrations import format_figures
 
@@ -98,11 +98,11 @@ def run(args: argparse.Namespace) -> int:
     first, second = (partial(record_for_plot, named, interval=SAMPLE_INTERVAL_S) for named in both)
     result = run_demonstration(partial(_make_stage, args), (first, second))
     print(
-        f"{result.chip}{', mended' if result.mended else ''}: a decelerating stop is commanded in area d\n\n{result.table()}"
+        f"{result.chip}{', mended' if result.mended else ''}: a decelerating stop is commanded in area d\n\n{result.format_table()}"
     )
     bare, guarded = result.figures
     facts = {"chip": result.chip, "mended": result.mended, "as_claimed": result.as_claimed}
-    tell(args, facts | {"26h": bare, "stop_by_speed": guarded})
+    add_facts(args, facts | {"26h": bare, "stop_by_speed": guarded})
     draw_plot(args, result.plot)
     print("as claimed" if result.as_claimed else "NOT as claimed")
     return 0 if result.as_claimed else 1
@@ -148,7 +148,7 @@ def run_demonstration(
     figures, recordings = [], []
     for program, record in ((_stop_by_speed, records[1]), (_stop_by_26h, records[0])):  # a viewer shows the last one
         stage = make()
-        note(f"{program.__name__.removeprefix('_stop_')}: the move ...")
+        show_status(f"{program.__name__.removeprefix('_stop_')}: the move ...")
         context: AbstractContextManager = record(stage) if record else nullcontext()
         with context as recording:
             figures.append(_drive_s_curve(stage, program))

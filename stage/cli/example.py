@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from stage.cli.commands import add_command, tell, wrote
+from stage.cli.commands import add_command, add_facts, report_written_file
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage example` to argparse's subparsers."""
     p = add_command(
         commands, "example", run, "copy an example: programs, drivers, chips, notebooks",
@@ -29,19 +29,21 @@ def run(args: argparse.Namespace) -> int:
     from stage.support.extras import is_installed
 
     if args.name is None:
-        titles = {name: _describe(name) for name in examples.EXAMPLE_PATHS}
-        tell(args, titles)
+        titles = {name: _describe_example(name) for name in examples.EXAMPLE_PATHS}
+        add_facts(args, titles)
         width = max(map(len, titles))
         print("\n".join(f"{name:{width}}  {title}" for name, title in titles.items()))
         return 0
     name = args.name.removesuffix(".py")
     copy = examples.copy_example(name, Path(args.to), args.force)
     extra = examples.REQUIREMENTS.get(name)
-    wrote(args, copy, _next_step(copy) + (f"; it {extra}" if extra and not is_installed(extra.library) else ""))
+    report_written_file(
+        args, copy, _next_step(copy) + (f"; it {extra}" if extra and not is_installed(extra.library) else "")
+    )
     return 0
 
 
-def _describe(name: str) -> str:
+def _describe_example(name: str) -> str:
     """Return the description of an example, and the extra that it needs."""
     from stage.support import examples
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell, wrote
+from stage.cli.commands import add_command, add_facts, report_written_file
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage export` to argparse's subparsers."""
     p = add_command(
         commands, "export", run, "write a recording as CSV, Parquet or NumPy columns",
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         find_writer_name(args.output)
         check_writable(args.output, args.force, overwrite_hint="give --force")
     saved = read(args.file)
-    tell(args, model=saved.model, axes=saved.axes, samples=len(saved), every=saved.every, columns=saved.units)
+    add_facts(args, model=saved.model, axes=saved.axes, samples=len(saved), every=saved.every, columns=saved.units)
     if args.output is None:
         print(f"{saved.path}: {saved.model}, {len(saved)} samples, {saved.every * 1e3:g} ms apart")
         for name, axis in saved.axes.items():
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     saved.to_file(args.output, names, overwrite=args.force)
     columns = len(saved.units) if names is None else len({"time", *names})
     size = Path(args.output).stat().st_size / 1e6
-    wrote(args, args.output, f"{len(saved)} samples of {columns} columns, {size:.1f} MB")
+    report_written_file(args, args.output, f"{len(saved)} samples of {columns} columns, {size:.1f} MB")
     return 0
 
 

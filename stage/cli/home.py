@@ -6,15 +6,15 @@ import argparse
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell
-from stage.cli.options import count
+from stage.cli.commands import add_command, add_facts
+from stage.cli.options import parse_positive_integer
 from stage.cli.output_files import draw_plot, record_to_files
 from stage.cli.stage_setup import find_axis, make_stage, parse_speed_options, place_carriage
-from stage.cli.terminal import note, show_simulated_time
+from stage.cli.terminal import show_simulated_time, show_status
 from stage.errors import ArgumentError, add_article
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage home` to argparse's subparsers."""
     p = add_command(
         commands, "home", run, "find the origin switches of axes (origin return)",
@@ -34,7 +34,10 @@ def add(commands: Any) -> None:
         help="where to end: switch, index (the encoder's index pulse after the switch), or a method of the chip, such as stall",
     )  # fmt: skip
     p.add_argument(
-        "--ez", type=count, metavar="N", help="end at the N-th index pulse after ORG (N > 1: PCL240MK, PCL240MS)"
+        "--ez",
+        type=parse_positive_integer,
+        metavar="N",
+        help="end at the N-th index pulse after ORG (N > 1: PCL240MK, PCL240MS)",
     )
     options.add_start_option(p)
     options.add_speed_options(p)
@@ -56,21 +59,21 @@ def run(args: argparse.Namespace) -> int:
     with record_to_files(args, stage), show_simulated_time(stage):
         for group in groups:
             names = " and ".join(axis.name for axis in group)
-            note(f"axis {names}: origin return ...")
+            show_status(f"axis {names}: origin return ...")
             if len(group) > 1:
                 print(
                     f"axes {names} drive one load: together to where one meets ORG, then each to its own, as reported"
                 )
-            found = _home_together(args, group, names) if len(group) > 1 else [_home(args, group[0])]
+            found = _home_together(args, group, names) if len(group) > 1 else [_home_axis(args, group[0])]
             reports += found
             print(*found, sep="\n")
-        tell(args, reports=reports)
+        add_facts(args, reports=reports)
         draw_plot(args, reports[0].plot)
     found = [r.stopped_by in get_driver(axis).HOME_REASONS for r, axis in zip(reports, axes, strict=True)]
     return 0 if all(found) and not any(r.lost_steps for r in reports) else 1
 
 
-def _home(args: argparse.Namespace, axis: Any) -> Any:
+def _home_axis(args: argparse.Namespace, axis: Any) -> Any:
     """Home one axis as the options say, and return the report."""
     from stage import firmware
     from stage.firmware.driver import get_driver

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.cli.options import CHIPS
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage list`, `stage chips` and `stage registers` to argparse's subparsers."""
     p = add_command(
         commands, "list", list_kind, "list the available chips, motors, power stages or models",
@@ -47,7 +47,7 @@ def list_chips(args: argparse.Namespace) -> int:
         {"name": n.name, "package": n.package, "title": n.chip and n.chip.MAP.title, "problem": n.problem}
         for n in lines
     ]
-    tell(args, facts)
+    add_facts(args, facts)
     name_width, package_width = (
         max(map(len, column)) for column in zip(*((n.name, n.package) for n in lines), strict=True)
     )
@@ -62,7 +62,7 @@ def _list_motors(args: argparse.Namespace) -> int:
     from stage.drives.dc_motors import DC_MOTORS
     from stage.drives.motors import EVIDENCE, MOTORS
 
-    tell(args, {"steppers": MOTORS, "dc": DC_MOTORS})
+    add_facts(args, {"steppers": MOTORS, "dc": DC_MOTORS})
     for name, m in MOTORS.items():
         print(f"{name:16} stepper  {m.rated_current:g} A, holding torque {m.holding_torque:g} N m")
         _print_evidence(m)
@@ -78,7 +78,7 @@ def _list_power_stages(args: argparse.Namespace) -> int:
     from stage.drives.power_stages import EVIDENCE, TIMES, find_power_stage, list_power_stages
 
     power_stages = {name: find_power_stage(name) for name in list_power_stages()}
-    tell(args, power_stages)
+    add_facts(args, power_stages)
     for name, p in power_stages.items():
         print(f"{name:10} {p.title}: {p.max_current:g} A, {p.min_supply:g} to {p.max_supply:g} V")
         if p.mode_pins:
@@ -120,7 +120,7 @@ def _list_models(args: argparse.Namespace) -> int:
     axes = {
         name: [a.name for a in plant.bind_axes(plant.open_spec(name).compile())] for name in plant.list_model_names()
     }
-    tell(args, axes)
+    add_facts(args, axes)
     for name, names in axes.items():
         print(f"{name:10} axes {', '.join(names)}")
     print("or an MJCF file of your own: `stage new-model` writes one, docs/models.md says what it must have.")
@@ -135,6 +135,6 @@ def list_registers(args: argparse.Namespace) -> int:
     from stage.chips import chip_class
     from stage.chips.register_map import dump
 
-    tell(args, map_ := chip_class(args.chip).MAP)
+    add_facts(args, map_ := chip_class(args.chip).MAP)
     print(dump(map_))
     return 0

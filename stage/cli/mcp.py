@@ -11,7 +11,7 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command
-from stage.cli.options import TIME, number, port
+from stage.cli.options import TIME, parse_integer, parse_port
 from stage.cli.stage_setup import make_stage
 from stage.errors import ArgumentError
 from stage.support.extras import import_extra
@@ -20,7 +20,7 @@ TOKEN_VARIABLE = "PULSESTAGE_TOKEN"
 MIN_TOKEN_LENGTH = 16
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage mcp` to argparse's subparsers."""
     p = add_command(
         commands, "mcp", run, "tools of a stage for agents, by the Model Context Protocol",
@@ -39,13 +39,16 @@ def add(commands: Any) -> None:
         help="what the agent sees: what a host on the bus can see, or everything (default: host)",
     )  # fmt: skip
     g.add_argument(
-        "--moves", type=number, metavar="N", help="number of moves that a session may begin (default: no limit)"
+        "--moves", type=parse_integer, metavar="N", help="number of moves that a session may begin (default: no limit)"
     )
     g.add_argument(
         "--seconds", type=TIME, metavar="S", help="simulated seconds that a session may use (default: no limit)"
     )
     g.add_argument(
-        "--cycles", type=number, metavar="N", help="number of bus cycles that a session may make (default: no limit)"
+        "--cycles",
+        type=parse_integer,
+        metavar="N",
+        help="number of bus cycles that a session may make (default: no limit)",
     )
     g.add_argument(
         "--no-snapshots",
@@ -60,9 +63,13 @@ def add(commands: Any) -> None:
     g.add_argument(
         "--http", action="store_true", help="streamable HTTP on 127.0.0.1 instead of standard input and output"
     )
-    g.add_argument("--port", type=port, default=7242, help="TCP port; 0 chooses a free one (default: 7242)")
+    g.add_argument("--port", type=parse_port, default=7242, help="TCP port; 0 chooses a free one (default: 7242)")
     g.add_argument(
-        "--sessions", type=number, default=64, metavar="N", help="maximum number of sessions at a time (default: 64)"
+        "--sessions",
+        type=parse_integer,
+        default=64,
+        metavar="N",
+        help="maximum number of sessions at a time (default: 64)",
     )
     g.add_argument(
         "--idle", type=TIME, default=600.0, metavar="S",

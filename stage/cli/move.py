@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell, warn
+from stage.cli.commands import add_command, add_facts, warn
 from stage.cli.options import DURATION, RATE, TIME
 from stage.cli.output_files import draw_plot, record_to_files
 from stage.cli.stage_setup import (
@@ -24,7 +24,7 @@ from stage.cli.terminal import show_simulated_time
 from stage.errors import ArgumentError, add_article
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage move`, `stage dual-rate` and `stage sync` to argparse's subparsers."""
     p = add_command(
         commands, "move", move, "move an axis by pulses or by a distance",
@@ -141,7 +141,7 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
         report = run(axis, pulses, speeds)
         print(report)
         print(report.listing())
-        tell(args, reports=[report])
+        add_facts(args, reports=[report])
         draw_plot(args, report.plot)
     return 0 if report.ok else 1
 
@@ -191,6 +191,6 @@ def sync(args: argparse.Namespace) -> int:
         if report.plan:
             print(report.plan)
         print(report)
-        tell(args, report)
+        add_facts(args, report)
         draw_plot(args, report.plot)
     return 0 if report.ok else 1

@@ -7,10 +7,10 @@ import shlex
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell, wrote
+from stage.cli.commands import add_command, add_facts, report_written_file
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage new-model` to argparse's subparsers."""
     p = add_command(
         commands, "new-model", run, "write a commented MJCF of your own axes to start from",
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
 
     text = new_model([NewAxis.parse(item) for item in args.axes.split(",")])
     if args.output in (None, "-"):
-        tell(args, mjcf=text)
+        add_facts(args, mjcf=text)
         print(text, end="")
         return 0
     check_ending(args.output, *MODEL)
@@ -45,8 +45,10 @@ def run(args: argparse.Namespace) -> int:
     with write_atomically(args.output, args.force) as part:
         part.write_text(text, encoding="utf-8")
     model = plant.open_spec(args.output).compile()
-    tell(args, axes=[a.name for a in plant.bind_axes(model)])
+    add_facts(args, axes=[a.name for a in plant.bind_axes(model)])
     print(plant.format_axes(model))
     name = shlex.quote(args.output)
-    wrote(args, args.output, f"written. `stage home --model {name}` homes it, `stage view {name}` shows it.")
+    report_written_file(
+        args, args.output, f"written. `stage home --model {name}` homes it, `stage view {name}` shows it."
+    )
     return 0

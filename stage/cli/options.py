@@ -60,31 +60,31 @@ TIME, VOLTAGE, MASS, FREQUENCY = map(Quantity, ("time", "voltage", "mass", "freq
 HERTZ = IntegerQuantity("frequency")
 
 
-def number(text: str) -> int:
-    """Parse a whole number."""
+def parse_integer(text: str) -> int:
+    """Parse an integer, decimal or as 0x300."""
     try:
         return int(text, 0)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, such as 768 or 0x300") from None
 
 
-def count(text: str) -> int:
-    """Parse a whole number that is 1 or more."""
-    if (value := number(text)) < 1:
+def parse_positive_integer(text: str) -> int:
+    """Parse an integer of at least 1."""
+    if (value := parse_integer(text)) < 1:
         raise argparse.ArgumentTypeError(f"{text} must be 1 or more")
     return value
 
 
-def port(text: str) -> int:
+def parse_port(text: str) -> int:
     """Parse a TCP port."""
-    value = number(text)
+    value = parse_integer(text)
     if not 0 <= value < 1 << 16:
         raise argparse.ArgumentTypeError(f"{text}: a TCP port is 0 (one that is free) to 65535")
     return value
 
 
-class NotedAction(argparse.Action):
-    """Action of an option that stores its value, and as NAME_given that the user has given the option."""
+class ExplicitValueAction(argparse.Action):
+    """Action of an option that stores its value, and in NAME_given that the user has given the option."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         """Store the value of an option."""
@@ -95,26 +95,28 @@ class NotedAction(argparse.Action):
 # --- groups of options ---
 
 
-def add_stage_and_output_options(p: argparse.ArgumentParser, chips: Sequence[str] = CHIPS) -> None:
+def add_stage_and_output_options(parser: argparse.ArgumentParser, chips: Sequence[str] = CHIPS) -> None:
     """Add --model, the options of a stage, and the options of its recordings."""
-    g = p.add_argument_group("stage")
-    g.add_argument("--model", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
-    add_stage_options(g, chips)
-    g = p.add_argument_group("output")
-    g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
-    g.add_argument(
+    group = parser.add_argument_group("stage")
+    group.add_argument("--model", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
+    add_stage_options(group, chips)
+    group = parser.add_argument_group("output")
+    group.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
+    group.add_argument(
         "--picture", metavar="FILE.png", help="render the dashboard of the recording to a file; needs no screen"
     )
-    g.add_argument("--vcd", metavar="FILE.vcd", help="write waveforms for GTKWave")
-    add_force_option(g)
-    g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
-    g.add_argument("--web", action="store_true", help="serve the dashboard to a browser, on 127.0.0.1 only")
-    g.add_argument("--port", type=port, default=9090, action=NotedAction, help="port for --web (default: 9090)")
+    group.add_argument("--vcd", metavar="FILE.vcd", help="write waveforms for GTKWave")
+    add_force_option(group)
+    group.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
+    group.add_argument("--web", action="store_true", help="serve the dashboard to a browser, on 127.0.0.1 only")
+    group.add_argument(
+        "--port", type=parse_port, default=9090, action=ExplicitValueAction, help="port for --web (default: 9090)"
+    )
 
 
-def add_model_argument(p: argparse.ArgumentParser) -> None:
+def add_model_argument(parser: argparse.ArgumentParser) -> None:
     """Add the optional argument MODEL."""
-    p.add_argument("model", nargs="?", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
+    parser.add_argument("model", nargs="?", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
 
 
 def list_models() -> list[str]:
@@ -127,125 +129,137 @@ def format_model_help() -> str:
     return f"a model of PulseStage ({', '.join(list_models())}) or an MJCF file (default: xyz)"
 
 
-def add_stage_options(g: Any, chips: Sequence[str] = CHIPS) -> None:
+def add_stage_options(group: Any, chips: Sequence[str] = CHIPS) -> None:
     """Add the options that describe a stage, except its model."""
     others = "; or one of another package, see `stage chips`; or x=CHIP,y=CHIP" if chips is CHIPS else ""
     choices = f"chip of every axis: {', '.join(chips)}{others} (default: {chips[0]})"
-    g.add_argument("--chips", default=chips[0], help=choices).known = chips
-    g.add_argument("--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401)")
-    g.add_argument(
+    group.add_argument("--chips", default=chips[0], help=choices).known = chips
+    group.add_argument("--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401)")
+    group.add_argument(
         "--drive",
         metavar="POWER_STAGE",
         help="power stage of every axis, see `stage list power-stages` (default: ideal)",
     )
-    g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
-    g.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply voltage of the drives in V (default: 24)")
-    g.add_argument("--bus-cycle", type=TIME, default=1e-6, help="duration of a bus cycle in s (default: 1e-6)")
-    g.add_argument(
+    group.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
+    group.add_argument(
+        "--bus-voltage", type=VOLTAGE, default=24.0, help="supply voltage of the drives in V (default: 24)"
+    )
+    group.add_argument("--bus-cycle", type=TIME, default=1e-6, help="duration of a bus cycle in s (default: 1e-6)")
+    group.add_argument(
         "--wiring", action="append", default=[], metavar="AXIS.SENSOR=LOGIC",
         help="logic of a sensor if it is not negative: x.org=positive is high while ORG is on; ez is the index of the encoder",
     )  # fmt: skip
-    g.add_argument(
+    group.add_argument(
         "--multichip", metavar="AXIS,AXIS",
         help="connect the multichip lines of MCX514 and MCX512 chips: an axis of each chip, x,z (see docs/nova.md)",
     )  # fmt: skip
-    g.add_argument(
+    group.add_argument(
         "--syni", action="append", default=[], metavar="FOLLOWER=LEADER",
         help="connect SYNI of an axis' chip (PCL-240 family) to SYNO of another one: y=x, or y=x,z=x",
     )  # fmt: skip
 
 
-def add_force_option(p: Any) -> None:
+def add_force_option(parser: Any) -> None:
     """Add --force."""
-    p.add_argument("--force", action="store_true", help="overwrite files that exist")
+    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 
-def add_plot_option(p: Any) -> None:
+def add_plot_option(parser: Any) -> None:
     """Add --plot."""
-    p.add_argument("--plot", metavar="FILE.png", help="draw a diagram")
+    parser.add_argument("--plot", metavar="FILE.png", help="draw a diagram")
 
 
-def add_start_option(p: Any) -> None:
+def add_start_option(parser: Any) -> None:
     """Add --from, the position at which an axis starts."""
-    p.add_argument(
+    parser.add_argument(
         "--from", dest="start", metavar="PLACE",
         help="position at which the carriage starts: 20mm, 30deg; without a unit mm, degrees on a hinge (default: 0)",
     )  # fmt: skip
 
 
-def add_speed_options(p: argparse.ArgumentParser) -> None:
+def add_speed_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of speeds and ramp times."""
-    g = p.add_argument_group("speeds (pulses per second; the chip makes the nearest that its registers allow)")
-    g.add_argument("--fl", type=RATE, help="FL: rate at the start and at the stop")
-    g.add_argument("--fh1", type=RATE, help="FH1: rate of the move")
-    g.add_argument("--fh2", type=RATE, help="FH2: second rate (PCL-240 family; default: twice FH1)")
-    g.add_argument("--accel", type=DURATION, help="seconds from FL to the highest rate")
-    g.add_argument("--decel", type=DURATION, help="seconds from the highest rate to FL (default: the same as --accel)")
+    group = parser.add_argument_group("speeds (pulses per second; the chip makes the nearest that its registers allow)")
+    group.add_argument("--fl", type=RATE, help="FL: rate at the start and at the stop")
+    group.add_argument("--fh1", type=RATE, help="FH1: rate of the move")
+    group.add_argument("--fh2", type=RATE, help="FH2: second rate (PCL-240 family; default: twice FH1)")
+    group.add_argument("--accel", type=DURATION, help="seconds from FL to the highest rate")
+    group.add_argument(
+        "--decel", type=DURATION, help="seconds from the highest rate to FL (default: the same as --accel)"
+    )
 
 
-def add_ramp_options(p: argparse.ArgumentParser) -> None:
+def add_ramp_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the ramps' shape."""
-    g = p.add_argument_group("ramps")
-    g.add_argument(
+    group = parser.add_argument_group("ramps")
+    group.add_argument(
         "--s-curve", nargs="?", type=float, const=True, default=False, metavar="SHARE",
         help="S-curves; SHARE (above 0, up to 0.5) is the part of the ramp that is curved at each end (needs PCL240MS)",
     )  # fmt: skip
-    g.add_argument(
+    group.add_argument(
         "--automatic", action=argparse.BooleanOptionalAction,
         help="the chip finds the ramp-down point itself (PCL240MK, PCL240MS)",
     )  # fmt: skip
 
 
-def add_board_options(p: argparse.ArgumentParser) -> None:
+def add_board_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a board and of the devices on its bus."""
-    g = p.add_argument_group("board")
-    g.add_argument(
+    group = parser.add_argument_group("board")
+    group.add_argument(
         "--layout",
         help="ports that reach the chips: pcl240, pcl240-card, nova, nova-8bit, hctl1100, or a file of your own, card.toml "
         "(default: the chip's); docs/layouts.md",
     )
-    g.add_argument("--base", type=number, help="first port of the first chip, such as 0x300 (default: the layout's)")
-    g.add_argument("--stride", type=number, help="ports from one chip to the next (default: the layout's)")
-    g.add_argument("--clock", type=HERTZ, metavar="HZ", help="reference clock of the chips (default: the data sheet's)")
-    g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles as text; - prints them")
-    g.add_argument(
+    group.add_argument(
+        "--base", type=parse_integer, help="first port of the first chip, such as 0x300 (default: the layout's)"
+    )
+    group.add_argument("--stride", type=parse_integer, help="ports from one chip to the next (default: the layout's)")
+    group.add_argument(
+        "--clock", type=HERTZ, metavar="HZ", help="reference clock of the chips (default: the data sheet's)"
+    )
+    group.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles as text; - prints them")
+    group.add_argument(
         "--keep", type=int, default=1_000_000, help="number of the latest bus cycles to keep (default: 1,000,000)"
     )
-    g.add_argument(
+    group.add_argument(
         "--device", action="append", default=[], metavar="KIND:PORT",
         help="another device on the bus: hctl2000, hctl2016, hctl2020, ls7166 with the axis whose encoder it counts, "
         "hctl2016:0x320:x, and the counts of a turn of the motor if not 2000, ls7166:0x330:y:4000; uart:0x3F8; latch:0x378; a "
         "device of your own in C with its number of ports, adc.c:0x340+2",
     )  # fmt: skip
-    g.add_argument(
+    group.add_argument(
         "--encoder", action="append", default=[], metavar="AXIS=COUNTS",
         help="an encoder for the chip's counter of the real position (RP or EP of the NOVA chips): counts per meter (rad on a "
         "hinge), x=200000, or per turn of the motor, x=2000/turn",
     )  # fmt: skip
-    add_place_option(g)
+    add_place_option(group)
 
 
-def add_place_option(g: Any) -> None:
+def add_place_option(group: Any) -> None:
     """Add --place."""
-    g.add_argument(
+    group.add_argument(
         "--place", action="append", default=[], metavar="AXIS=PLACE",
         help="position at which a carriage starts, such as x=62mm; without a unit mm, degrees on a hinge",
     )  # fmt: skip
 
 
-def add_panel_options(p: argparse.ArgumentParser) -> None:
+def add_panel_options(parser: argparse.ArgumentParser) -> None:
     """Add --panel and its options, for a command that drives a stage."""
-    g = p.add_argument_group("panel")
-    g.add_argument(
+    group = parser.add_argument_group("panel")
+    group.add_argument(
         "--panel", action="store_true",
         help="show a live page in real time; the command begins when a browser shows it, and the page stays at the end; "
         "docs/panel.md",
     )  # fmt: skip
-    g.add_argument("--panel-port", type=port, default=7241, help="TCP port; 0 chooses a free one (default: 7241)")
-    add_page_options(g)
+    group.add_argument(
+        "--panel-port", type=parse_port, default=7241, help="TCP port; 0 chooses a free one (default: 7241)"
+    )
+    add_page_options(group)
 
 
-def add_page_options(g: Any) -> None:
+def add_page_options(group: Any) -> None:
     """Add the options that every live page has."""
-    g.add_argument("--no-browser", action="store_true", help="print the link instead of opening a browser")
-    g.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)")
+    group.add_argument("--no-browser", action="store_true", help="print the link instead of opening a browser")
+    group.add_argument(
+        "--speed", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)"
+    )

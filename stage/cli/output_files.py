@@ -9,8 +9,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from stage.cli.commands import tell, wrote
-from stage.cli.terminal import note
+from stage.cli.commands import add_facts, report_written_file
+from stage.cli.terminal import show_status
 from stage.errors import ArgumentError
 from stage.support.extras import import_extra, is_installed
 
@@ -160,7 +160,7 @@ def _show_reports(args: argparse.Namespace, reports: list[Any], plot: bool) -> N
     for report in reports:
         print(report)
     if reports:
-        tell(args, reports=reports)
+        add_facts(args, reports=reports)
         if plot:
             draw_plot(args, reports[0].plot)
 
@@ -170,20 +170,24 @@ def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None
     rrd = None
     if args.record or usual:
         rrd = args.record or find_free_name(str(usual), args.force)  # another command may have taken the name meanwhile
-        note(f"writing {rrd} ...")
+        show_status(f"writing {rrd} ...")
         recording.save(rrd, overwrite=args.force)
         size = Path(rrd).stat().st_size / 1e6
-        wrote(args, rrd, f"{size:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}")
+        report_written_file(
+            args, rrd, f"{size:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}"
+        )
     if args.vcd:
-        note(f"writing {args.vcd} ...")
+        show_status(f"writing {args.vcd} ...")
         recording.to_vcd(args.vcd, overwrite=args.force)
-        wrote(args, args.vcd, f"{Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
+        report_written_file(
+            args, args.vcd, f"{Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}"
+        )
     if args.picture and rrd:
         from stage.recording.rerun_viewer import take_screenshot
 
-        note(f"rendering {args.picture} ...")
+        show_status(f"rendering {args.picture} ...")
         take_screenshot(rrd, args.picture, overwrite=args.force)
-        wrote(args, args.picture, "the dashboard")
+        report_written_file(args, args.picture, "the dashboard")
     return rrd
 
 
@@ -202,4 +206,4 @@ def draw_plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:
     """Draw the diagram for --plot by `draw`, if the option is given."""
     if getattr(args, "plot", None):
         draw(args.plot, overwrite=args.force)
-        wrote(args, args.plot, "drawn")
+        report_written_file(args, args.plot, "drawn")

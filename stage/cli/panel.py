@@ -11,14 +11,14 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from stage.cli.commands import add_command
-from stage.cli.options import add_model_argument, add_page_options, add_stage_options, port
+from stage.cli.options import add_model_argument, add_page_options, add_stage_options, parse_port
 from stage.cli.stage_setup import make_stage
 
 if TYPE_CHECKING:
     from stage.panel.session import Session
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage panel` to argparse's subparsers."""
     p = add_command(
         commands, "panel", run, "a live stage in a browser",
@@ -30,7 +30,7 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     add_model_argument(p)
     g = p.add_argument_group("page")
-    g.add_argument("--port", type=port, default=7241, help="TCP port; 0 chooses a free one (default: 7241)")
+    g.add_argument("--port", type=parse_port, default=7241, help="TCP port; 0 chooses a free one (default: 7241)")
     g.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on; other than at 127.0.0.1, whoever has the link with its token can reach the page "

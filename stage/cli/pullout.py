@@ -7,13 +7,13 @@ from functools import partial
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.cli.options import VOLTAGE
 from stage.cli.output_files import check_outputs, draw_plot
 from stage.cli.terminal import show_progress
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage pullout` to argparse's subparsers."""
     p = add_command(
         commands, "pullout", run, "simulate the pull-out torque of a motor over speed",
@@ -37,15 +37,15 @@ def run(args: argparse.Namespace) -> int:
     drive = Drive(find_motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     check_outputs(args)
     table = tabulate_pull_out(drive, progress=partial(show_progress, "simulating"))
-    tell(args, motor=args.motor, bus_voltage=args.bus_voltage, microsteps=args.microsteps, pull_out=table)
+    add_facts(args, motor=args.motor, bus_voltage=args.bus_voltage, microsteps=args.microsteps, pull_out=table)
     print(table)
     if (curve := PUBLISHED_CURVES.get(args.motor)) is not None:
         comparison = curve.compare(drive.motor)
         rms = comparison.compute_rms()
-        tell(args, published={**comparison._asdict(), "rms_deviation": rms, "source": curve.source})
+        add_facts(args, published={**comparison._asdict(), "rms_deviation": rms, "source": curve.source})
         print(f"\n{curve.source}, and simulated:\n{comparison}\nrms deviation {rms:.1%}")
     else:
-        tell(args, likely_core_loss=estimate_core_loss(drive.motor))
+        add_facts(args, likely_core_loss=estimate_core_loss(drive.motor))
         print(f"\n{describe_core_loss(drive.motor)}")
     if args.plot:
         from stage.drives.pull_out_plot import plot_pull_out

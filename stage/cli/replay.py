@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.cli.output_files import draw_plot, record_for_plot
 from stage.cli.stage_setup import make_stage, place_carriages
 from stage.cli.terminal import show_simulated_time
@@ -14,7 +14,7 @@ from stage.cli.terminal import show_simulated_time
 PLOT_INTERVAL_S = 1e-3
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage replay` to argparse's subparsers."""
     p = add_command(
         commands, "replay", replay, "play a logic analyser's capture into STEP/DIR axes",
@@ -47,7 +47,7 @@ def replay(args: argparse.Namespace) -> int:
     with record_for_plot(args, stage, PLOT_INTERVAL_S) as recording, show_simulated_time(stage):
         report = replay_capture(stage, args.capture, args.pins)
         print(report)
-        tell(args, report)
+        add_facts(args, report)
         if args.plot:
             draw_plot(args, recording.plot)
     return 0 if report.ok else 1

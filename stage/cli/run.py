@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli import options, serial_options
-from stage.cli.commands import add_command, tell, warn, wrote
-from stage.cli.options import FREQUENCY, TIME, number
+from stage.cli.commands import add_command, add_facts, report_written_file, warn
+from stage.cli.options import FREQUENCY, TIME, parse_integer
 from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import keep_panel, run_in_real_time, show_panel
 from stage.cli.stage_setup import make_board
-from stage.cli.terminal import note, show_simulated_time
+from stage.cli.terminal import show_simulated_time, show_status
 from stage.errors import ArgumentError, StageError
 from stage.units import POSITION_UNITS
 
@@ -30,7 +30,7 @@ MAX_DIAGNOSTICS = 10
 """Diagnostics of a chip that a report prints."""
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage run` and `stage include` to argparse's subparsers."""
     p = add_command(
         commands, "run", run, "run firmware in C on an emulated board",
@@ -61,7 +61,7 @@ def add(commands: Any) -> None:
         "--timeout",
         type=TIME,
         default=60.0,
-        action=options.NotedAction,
+        action=options.ExplicitValueAction,
         help="simulated seconds within which the firmware must return (default: 60)",
     )
     g.add_argument(
@@ -87,7 +87,7 @@ def add(commands: Any) -> None:
     options.add_panel_options(p)
     options.add_stage_and_output_options(p)
     add_command(
-        commands, "include", include, "print the folder of pulsestage.h",
+        commands, "include", print_include_folder, "print the folder of pulsestage.h",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
         ("stage include", "print the folder"),
     )  # fmt: skip
@@ -114,7 +114,7 @@ def _add_target_options(p: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="clock of the processor, for example 16e6 (default: the usual one)",
     )
-    g.add_argument("--gdb", type=number, metavar="PORT", help="wait for GDB on this port of 127.0.0.1")
+    g.add_argument("--gdb", type=parse_integer, metavar="PORT", help="wait for GDB on this port of 127.0.0.1")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -136,19 +136,21 @@ def _run_with_serial_end(args: argparse.Namespace, flags: tuple[str, ...], end: 
         flags: Options of the compiler.
         end: Other end of the serial line, or None.
     """
-    with _compiler_warnings(args):
+    with _show_compiler_warnings(args):
         board = make_board(args)
-        host = _host(args, board, flags)
+        host = _make_host(args, board, flags)
     serial_options.prepare_host(args, host, end)
     terminated = threading.Event()
     with show_panel(args, board.stage, Path(args.firmware[0]).name) as session:
-        code = _run(args, board, host, session, end, terminated)
+        code = _run_firmware(args, board, host, session, end, terminated)
         if session is not None and not terminated.is_set():
             keep_panel(session)
     return code
 
 
-def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any, terminated: threading.Event) -> int:
+def _run_firmware(
+    args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any, terminated: threading.Event
+) -> int:
     """Run firmware, and print what came of it; return the exit code.
 
     Args:
@@ -164,7 +166,7 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any
     stage = board.stage
     begin = time.perf_counter()
     with record_to_files(args, stage):
-        note(f"{host.path.name} runs ...")
+        show_status(f"{host.path.name} runs ...")
         result, error = _run_to_end(args, board, host, session, end, terminated)
         wall = time.perf_counter() - begin
         for seconds, text in board.log:
@@ -185,7 +187,7 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any
             remarks = [finding.text for finding in host.wiring_findings if not finding.is_problem]
             wiring = {"wiring_problems": host.wiring_problems, "wiring_remarks": remarks}
             facts = _collect_facts(board, result, error) | wiring
-            tell(args, facts | serial_options.collect_serial_facts(args, host))
+            add_facts(args, facts | serial_options.collect_serial_facts(args, host))
     if result is None:
         host.close()
     write_trace(args, board)
@@ -204,7 +206,7 @@ def _run_to_end(
 ) -> tuple[Any, StageError | None]:
     """Run firmware; return its result, or None, and the error that has ended it, or None.
 
-    Recording and trace are written after an error, too. Arguments are those of `_run`.
+    Recording and trace are written after an error, too. Arguments are those of `_run_firmware`.
     """
     from stage.board import HostError, HostTimeout, StormError
     from stage.errors import SimulationError
@@ -228,7 +230,7 @@ def _run_to_end(
 
 
 @contextmanager
-def _compiler_warnings(args: argparse.Namespace) -> Iterator[None]:
+def _show_compiler_warnings(args: argparse.Namespace) -> Iterator[None]:
     """Show the warnings of compilers in this block as the command shows its own."""
     from stage.board import CompilerWarning
 
@@ -267,7 +269,7 @@ def _raise_at_sigterm(board: Any, terminated: threading.Event) -> Iterator[None]
             signal.signal(signal.SIGTERM, before)
 
 
-def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
+def _make_host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
     """Return the host of a library for this machine, or with --mcu of a program for another processor."""
     isolated = os.name == "posix" and not args.in_process
     if args.mcu is None:
@@ -294,11 +296,11 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
     )  # fmt: skip
 
 
-def include(args: argparse.Namespace) -> int:
+def print_include_folder(args: argparse.Namespace) -> int:
     """Print the folder of pulsestage.h."""
     from stage.board.firmware_library import include
 
-    tell(args, include=include())
+    add_facts(args, include=include())
     print(include())
     return 0
 
@@ -312,7 +314,7 @@ def write_trace(args: argparse.Namespace, board: Any) -> None:
     elif args.trace:
         with write_atomically(args.trace, args.force) as part:
             part.write_text(board.trace.text() + "\n", encoding="utf-8", errors="backslashreplace")
-        wrote(args, args.trace, f"{len(board.trace):,} lines of bus cycles")
+        report_written_file(args, args.trace, f"{len(board.trace):,} lines of bus cycles")
 
 
 def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from stage.cli.commands import warn, wrote
+from stage.cli.commands import report_written_file, warn
 from stage.errors import ArgumentError
 from stage.support.files import check_writable, write_atomically
 
@@ -141,7 +141,7 @@ def write_serial_log(args: argparse.Namespace, host: Any) -> None:
     text = format_script(host.serial.arrivals, host.board.stage.now - host.serial.connected_at)
     with write_atomically(args.serial_log, args.force) as part:
         part.write_text(text, encoding="utf-8")
-    wrote(args, args.serial_log, f"{host.serial.written:,} bytes that came in over the serial line")
+    report_written_file(args, args.serial_log, f"{host.serial.written:,} bytes that came in over the serial line")
 
 
 def collect_serial_facts(args: argparse.Namespace, host: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, warn
-from stage.cli.options import port
+from stage.cli.options import parse_port
 from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import on_end_signals, show_panel
 from stage.cli.run import print_report, write_trace
@@ -16,7 +16,7 @@ from stage.cli.stage_setup import make_board
 from stage.errors import ArgumentError
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage serve` to argparse's subparsers."""
     p = add_command(
         commands, "serve", run, "the chips behind a TCP port, for a host elsewhere",
@@ -33,7 +33,7 @@ def add(commands: Any) -> None:
         help="address to listen on (default: 127.0.0.1, this machine only)",
     )  # fmt: skip
     g.add_argument(
-        "--listen", type=port, default=7240, metavar="PORT", help="TCP port; 0 chooses a free one (default: 7240)"
+        "--listen", type=parse_port, default=7240, metavar="PORT", help="TCP port; 0 chooses a free one (default: 7240)"
     )
     g.add_argument(
         "--fresh", action="store_true",

@@ -18,10 +18,10 @@ FIRST_UPDATE_S, UPDATE_INTERVAL_S = 1.5, 0.5
 """Wall-clock times of the line of `show_simulated_time`."""
 
 
-class Output:
-    r"""Text stream that drops everything after the first write that fails; `error` is what that write raised.
+class ClosableOutput:
+    r"""Text stream that drops all text after the first write that fails; `error` is the error of that write.
 
-    A character that the stream cannot encode is written as an escape, such as \xb5, as standard error does it.
+    A character that the stream cannot encode is written as an escape such as \xb5, as on standard error.
     """
 
     def __init__(self, stream: Any):
@@ -31,16 +31,18 @@ class Output:
     def write(self, text: str) -> int:
         """Write to the stream, unless a write has failed."""
         try:
-            self._try(self._stream.write, text)
+            self._call_stream(self._stream.write, text)
         except UnicodeEncodeError as error:
-            self._try(self._stream.write, text.encode(error.encoding, "backslashreplace").decode(error.encoding))
+            self._call_stream(
+                self._stream.write, text.encode(error.encoding, "backslashreplace").decode(error.encoding)
+            )
         return len(text)
 
     def flush(self) -> None:
         """Flush the stream, unless a write has failed."""
-        self._try(self._stream.flush)
+        self._call_stream(self._stream.flush)
 
-    def _try(self, call: Callable[..., Any], *args: str) -> None:
+    def _call_stream(self, call: Callable[..., Any], *args: str) -> None:
         """Call a method of the stream unless an earlier call has failed. After a failure, redirect the stream to nowhere."""
         if self.error is not None:
             return
@@ -75,7 +77,7 @@ def run_with_output(run: Callable[[], int]) -> int:
     A closed standard output is no error. The code is 2 if anything else prevents the text from being written.
     """
     open_missing_streams()
-    output = Output(sys.stdout)
+    output = ClosableOutput(sys.stdout)
     exit_request = None
     with redirect_stdout(output):
         try:
@@ -91,8 +93,8 @@ def run_with_output(run: Callable[[], int]) -> int:
     return code
 
 
-def note(text: str) -> None:
-    """Show in a line what the command does now."""
+def show_status(text: str) -> None:
+    """Show in a line what the command is doing now, if standard error is a terminal."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
 

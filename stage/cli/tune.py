@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.cli.options import MASS
 from stage.cli.stage_setup import find_axis, make_stage, parse_distance
 from stage.cli.terminal import rewrite_line
@@ -20,7 +20,7 @@ from stage.units import OTHER_FACTORS, POSITION_FACTORS, POSITION_UNITS, parse_q
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage tune` to argparse's subparsers."""
     p = add_command(
         commands, "tune", run, "find the registers for a move of an axis, and prove them",
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         stage, axis.name, parse_distance(axis, args.distance), args.payload, parse_spare(args.spare, args.payload), within, hold,
         overshoot, args.site, args.payload_on,
     )  # fmt: skip
-    progress = _Progress(args.trials)
+    progress = _SearchProgress(args.trials)
     try:
         result = tune(
             task,
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
         raise StageError(f"{error}{explain_unit(axis, args.distance)}") from error
     finally:
         rewrite_line("")
-    tell(args, result)
+    add_facts(args, result)
     print(result)
     if folder is None:
         print(f"\n{result.c_source()}", end="")
@@ -227,7 +227,7 @@ def _parse_positive(option: str, text: str, units: dict[str, float], example: st
     return value
 
 
-class _Progress:
+class _SearchProgress:
     """Line on a terminal that shows how many trials of a search are done."""
 
     def __init__(self, trials: int):

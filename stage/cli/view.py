@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell, wrote
+from stage.cli.commands import add_command, add_facts, report_written_file
 from stage.cli.output_files import check_outputs
 from stage.errors import StageError, unknown_name_error
 from stage.support.extras import import_extra
@@ -17,7 +17,7 @@ ARROW_LENGTH = 0.16  # of the model's extent
 AMBIENT, DIFFUSE = 0.45, 0.35  # of the lamp at the eye: nothing is black
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage view` to argparse's subparsers."""
     p = add_command(
         commands, "view", run, "show a model in MuJoCo's viewer, as text or as a picture",
@@ -44,10 +44,10 @@ def run(args: argparse.Namespace) -> int:
     model, _ = plant.compile_spec(plant.open_spec(args.model), 0)
     print(plant.format_axes(model))
     Stage(args.model)  # checks what a stage needs beyond the contract
-    tell(args, axes=[_describe_axis(axis) for axis in plant.bind_axes(model)])
+    add_facts(args, axes=[_describe_axis(axis) for axis in plant.bind_axes(model)])
     if args.picture:
         draw_model(model, args.picture, args.camera, args.force)
-        wrote(args, args.picture, "drawn")
+        report_written_file(args, args.picture, "drawn")
     if args.text or args.picture or args.json:
         return 0
     check_window("`stage view --text` prints the axes, --picture draws them.")
@@ -132,7 +132,7 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
         points = data.xanchor[axis.joint] + 0.6 * length * arc
     else:
         points = np.array([middle, middle + length * direction])
-    points_px = _project(eye, points)
+    points_px = _project_to_pixels(eye, points)
     color = tuple(c / 255 for c in list(COLORS.values())[k % len(COLORS)])
     edge = [patheffects.withStroke(linewidth=6, foreground="white")]
     ax.plot(*points_px[:-1].T, color=color, lw=3.5, solid_capstyle="round", path_effects=edge)
@@ -147,7 +147,7 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
     ax.text(*place, axis.name, color=color, fontsize=24, weight="bold", ha="center", va="center", path_effects=edge)
 
 
-def _project(eye: Any, points: Any) -> Any:
+def _project_to_pixels(eye: Any, points: Any) -> Any:
     """Return the pixels, shape (n, 2), of the picture at which points of the world, m, shape (n, 3), appear."""
     import numpy as np
 

@@ -23,7 +23,7 @@ from stage.board import (
     crash_report,
     include,
 )
-from stage.cli.terminal import Output
+from stage.cli.terminal import ClosableOutput
 from stage.support.subprocesses import run_program
 
 SHIFT_JIS = "軸を動かす".encode("shift_jis")
@@ -143,7 +143,7 @@ def test_a_test_session_in_such_a_folder_passes_and_keeps_its_evidence(latin):
 
 def test_an_output_writes_escapes_for_what_its_stream_lacks(tmp_path):
     with (tmp_path / "said.txt").open("w", encoding="ascii") as stream:
-        output = Output(stream)
+        output = ClosableOutput(stream)
         assert output.write("5 \xb5m \u8ef8 \udce9\n") == 9
         output.flush()
     assert (tmp_path / "said.txt").read_bytes() == b"5 \\xb5m \\u8ef8 \\udce9\n"

@@ -8,7 +8,7 @@ import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from stage.cli.commands import TIME, add_command, number, tell, wrote
+from stage.cli.commands import TIME, add_command, add_facts, parse_integer, report_written_file
 from stage.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -50,10 +50,10 @@ def add_agent(commands: Any) -> None:
     g.add_argument("--name", help="name of the player in transcripts and entries")
     g = p.add_argument_group("games")
     g.add_argument("--split", default="train", help="split of a task, see `stage bench` (default: train)")
-    g.add_argument("--episodes", type=number, metavar="N", help="play only the first N games")
+    g.add_argument("--episodes", type=parse_integer, metavar="N", help="play only the first N games")
     g = p.add_argument_group("limits")
     g.add_argument(
-        "--most", type=number, default=400, metavar="N", help="largest number of calls in a game (default: 400)"
+        "--most", type=parse_integer, default=400, metavar="N", help="largest number of calls in a game (default: 400)"
     )
     g.add_argument(
         "--patience",
@@ -173,11 +173,11 @@ def _check_options(args: argparse.Namespace, count: int) -> None:
 def _write_files(args: argparse.Namespace, result: SuiteResult) -> None:
     """Write the entry, and print which files were written; MCP uses standard output itself."""
     if args.output is not None and not args.mcp:
-        wrote(args, args.output, "the transcript; `stage agent-replay` makes its calls again")
+        report_written_file(args, args.output, "the transcript; `stage agent-replay` makes its calls again")
     if args.entry is not None and result.entry is not None:
         result.entry.write(args.entry, args.force)
         if not args.mcp:
-            wrote(args, args.entry, "an entry of the bench; `stage bench-verify` replays it")
+            report_written_file(args, args.entry, "an entry of the bench; `stage bench-verify` replays it")
 
 
 def _print_result(args: argparse.Namespace, result: SuiteResult, out: Any) -> None:
@@ -190,7 +190,7 @@ def _print_result(args: argparse.Namespace, result: SuiteResult, out: Any) -> No
             repair = "mended" if r.score["mended"] else "-"
             print(f"{r.game:22} {finding:6} {repair:7} {len(r.calls)} calls", file=out)
     print(result, file=out)
-    tell(
+    add_facts(
         args, suite=result.head.kind, split=result.head.split, player=result.player, value=result.value, low=result.low,
         high=result.high, games={r.game: r.score for r in result.games}, of=result.head.of, whole=result.is_complete,
         tokens=result.tokens, calls=result.calls, valid_calls=sum(r.valid_calls for r in result.games),
@@ -249,7 +249,7 @@ def replay_transcript(args: argparse.Namespace) -> int:
     replay = arena.replay(args.file)
     result = replay.result
     print(replay)
-    tell(
+    add_facts(
         args, same=replay.is_same, first=replay.first_difference, cut=replay.missing_part, suite=result.head.kind,
         split=result.head.split, games=len(result.games), of=result.head.of, whole=result.is_complete, calls=result.calls,
         value=result.value, low=result.low, high=result.high, claimed={"player": result.player, "tokens": result.tokens},

@@ -7,7 +7,7 @@ import sys
 import textwrap
 from typing import Any
 
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.errors import ArgumentError
 
 PROMISED = "docs/benchmark.md says what is promised, and what is not."
@@ -108,7 +108,7 @@ def print_tasks(args: argparse.Namespace) -> int:
             }
             for c in selected
         }  # fmt: skip
-        tell(args, rows)
+        add_facts(args, rows)
         return 0
     for c in selected:
         print(f"{c.name}  {c.id}\n  {c.asked}")
@@ -151,7 +151,7 @@ def submit_entry(args: argparse.Namespace) -> int:
     )  # fmt: skip
     progress.end()
     entry.write(args.output, args.force)
-    tell(args, file=args.output, player=entry.player, mean=_compute_mean_scores(entry))
+    add_facts(args, file=args.output, player=entry.player, mean=_compute_mean_scores(entry))
     print(f"{entry.player}, {entry.task} {entry.split}: {len(entry.seeds)} episodes, {len(entry.rewards)} steps")
     print(
         ", ".join(f"{name} {value:.4g}" for name, value in _compute_mean_scores(entry).items() if value is not None)
@@ -174,7 +174,7 @@ def verify_entry(args: argparse.Namespace) -> int:
     progress = _EpisodeCounter("replayed")
     verdict = registerbench.verify(args.file, args.tolerance, progress)
     progress.end()
-    tell(args, verdict)
+    add_facts(args, verdict)
     print(verdict)
     return 0 if verdict.ok else 1
 
@@ -185,7 +185,7 @@ def print_tables(args: argparse.Namespace) -> int:
 
     entries = [entry for path in args.files for entry in read_entries(path).values()]
     if args.json:
-        tell(args, score_statistics.compute_rows(entries))
+        add_facts(args, score_statistics.compute_rows(entries))
     print(score_statistics.format_tables(entries, args.long))
     return 0
 

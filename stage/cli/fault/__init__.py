@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, tell
+from stage.cli.commands import add_command, add_facts
 from stage.cli.output_files import check_outputs, draw_plot, record_for_plot
 from stage.cli.stage_setup import make_stage
 
@@ -19,7 +19,7 @@ SAMPLE_INTERVAL_S = 2.5e-4
 """Simulated seconds between the samples of a picture."""
 
 
-def add(commands: Any) -> None:
+def add_subcommand(commands: Any) -> None:
     """Add `stage fault` to argparse's subparsers."""
     p = add_command(
         commands, "fault", run, "show the effect of a fault: a switch, a wire, the supply, the bus",
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.name is None:
         claims = {name: demo.claim for name, demo in demonstrations.DEMOS.items()}
-        tell(args, claims)
+        add_facts(args, claims)
         width = max(map(len, claims)) + 2
         print("\n".join(f"{name:{width}}{claim}" for name, claim in claims.items()))
         return 0
@@ -48,9 +48,11 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args)
     record = partial(record_for_plot, args, interval=SAMPLE_INTERVAL_S)
     result = demonstrations.run_demonstration(args.name, partial(make_stage, args), record, args.plot is not None)
-    print(f"{result.name}: {result.demo.claim}\n\n{result.table()}\n\nHow a host can detect it: {result.demo.notice}")
+    print(
+        f"{result.name}: {result.demo.claim}\n\n{result.format_table()}\n\nHow a host can detect it: {result.demo.notice}"
+    )
     healthy, faulty = result.figures
-    tell(
+    add_facts(
         args, fault=result.name, claim=result.demo.claim, notice=result.demo.notice, as_claimed=result.as_claimed,
         unit=result.unit, healthy=healthy, faulty=faulty,
     )  # fmt: skip

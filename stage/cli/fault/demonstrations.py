@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from stage.cli.fault import SAMPLE_INTERVAL_S, host_programs
-from stage.cli.terminal import note
+from stage.cli.terminal import show_status
 from stage.errors import unknown_name_error
 from stage.firmware.driver import get_driver
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
@@ -97,7 +97,7 @@ class DemoResult:
         """Scale lengths to an axis that moves SCREW_M per turn of its motor, for which the claims are written."""
         return {k: v * SCREW_M / self.turn if k.endswith(", mm") else v for k, v in figures.items()}
 
-    def table(self) -> str:
+    def format_table(self) -> str:
         """Return the measured values of both runs, a line for each."""
         return format_figures(("", "healthy", "faulty"), self.figures, self.unit)
 
@@ -159,11 +159,11 @@ def run_demonstration(
     demo, axis = DEMOS[key], host_programs.get_first_axis(stage)
     if get_driver(axis).has_position_loop:
         demo = demo.for_servo()
-    note(f"{key}: the healthy run ...")
+    show_status(f"{key}: the healthy run ...")
     with stage.record(SAMPLE_INTERVAL_S) if record_both else nullcontext() as healthy_recording:
         healthy = demo.program(stage, lambda *_: nullcontext())
     stage = make()
-    note(f"{key}: the faulty run ...")
+    show_status(f"{key}: the faulty run ...")
     with record(stage) if record else nullcontext() as faulty_recording:
         faulty = demo.program(stage, lambda fault, *args: fault(*args))
     turn = 2 * math.pi / abs(axis.gear)

@@ -40,10 +40,10 @@ class Parser(argparse.ArgumentParser):
         if command and (explanation := explain_missing_command(command[1])):
             raise UsageError(f"{self.prog}: {explanation}")
         raise UsageError(
-            f"{self.prog}: {_explain(message)}{self._list_values(message)} `{self.prog} --help` has examples."
+            f"{self.prog}: {_explain_message(message)}{self._list_allowed_values(message)} `{self.prog} --help` has examples."
         )
 
-    def _list_values(self, message: str) -> str:
+    def _list_allowed_values(self, message: str) -> str:
         """Return a sentence with the values of the argument whose absence the message reports, or ""."""
         missing = message.partition("arguments are required: ")[2].split(", ")
         known = [a.choices or getattr(a, "known", None) for a in self._actions if (a.metavar or a.dest) in missing]
@@ -97,7 +97,7 @@ def _escape_negative(word: str) -> str:
     return f" {word}" if re.match(r"-\.?\d.*[a-z]$", word) else word
 
 
-def _explain(message: str) -> str:
+def _explain_message(message: str) -> str:
     """Return an error message of argparse, with similar names if a value is none of its choices."""
     if found := re.fullmatch(r"argument (\S+): invalid choice: '(.*?)' \(choose from (.*)\)", message):
         where, value, choices = found.groups()
