@@ -19,7 +19,7 @@ def make_recording(org_from, begins=0.2):
     chip = SimpleNamespace(find_switch_input=lambda pin: 1, OUTPUTS={})
     return SimpleNamespace(
         axes={"x": SimpleNamespace(chip=chip)}, journals={"x": SimpleNamespace(replay_waveforms=lambda: waveform)}, began=0.0,
-        notes=[SimpleNamespace(time=begins, text="axis x: jammed: begins")],
+        fault_changes=[SimpleNamespace(time=begins, text="axis x: jammed: begins")],
         column=lambda name: TIME if name in ("time", "x/position") else 4 * TIME,
     )  # fmt: skip
 

@@ -153,5 +153,5 @@ def test_the_page_of_cited_sections_is_up_to_date():
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     page = script.PAGE.read_text()
-    assert script.renew(page) == page, "run python scripts/diagnostics_table.py"
+    assert script.renew_tables(page) == page, "run python scripts/diagnostics_table.py"
     assert "| section 5 f | `starts-on-org` |" in page

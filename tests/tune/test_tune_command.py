@@ -10,7 +10,7 @@ from stage import Stage
 from stage.chips import HCTL1100, MCX514
 from stage.cli import main
 from stage.cli.terminal import rewrite_line
-from stage.cli.tune import _Progress, explain_unit, parse_spare
+from stage.cli.tune import _SearchProgress, explain_unit, parse_spare
 from stage.errors import ArgumentError
 
 
@@ -45,7 +45,7 @@ def test_options_that_are_missing_have_their_defaults(run_tune_command):
     assert list(machine.axes) == ["x", "y"]
     assert rest == [0.0, None, None, 0.05, None, None, None]
     reports = settings.pop("on_progress")
-    assert isinstance(reports, _Progress)
+    assert isinstance(reports, _SearchProgress)
     assert settings == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 96}
 
 
@@ -132,7 +132,7 @@ def test_the_error_of_a_distance_without_a_unit_proposes_the_unit_of_the_axis():
 def test_progress_is_shown_only_on_a_terminal(capsys, monkeypatch):
     for terminal in (True, False):
         monkeypatch.setattr("sys.stderr.isatty", lambda terminal=terminal: terminal, raising=False)
-        progress = _Progress(200)
+        progress = _SearchProgress(200)
         progress("the formula", 0.0, None)
         progress("searching", 0.25, 0.1234)
         rewrite_line("")
