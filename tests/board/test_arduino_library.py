@@ -116,3 +116,84 @@ def test_what_is_no_library_is_refused(tmp_path):
         NativeHost(tmp_path / "a.c", make_board(), platform="avr", libraries=[library])
     with pytest.raises(ArgumentError, match=r"it is compiled with the sources of a sketch, and a\.so is built already"):
         NativeHost("a.so", make_board(), libraries=[library])
+
+
+NAMES = """\
+#include <EEPROM.h>
+#include <Print.h>
+#include <Printable.h>
+#include <SoftwareSerial.h>
+#include <Stream.h>
+#include <WCharacter.h>
+#include <avr/pgmspace.h>
+#include <binary.h>
+#include <new.h>
+#include <wiring_private.h>
+#define CHECK(what) do { if (!(what)) pulsestage::end(__LINE__); } while (0)
+SoftwareSerial port(10, 11);
+struct Point : public Printable {
+  size_t printTo(Print &to) const { return to.print(3) + to.print(','); }
+};
+struct Settings { int16_t current; uint8_t address; };
+void setup() {
+  CHECK(isSpace('\\n') && !isSpace('a') && isDigit('7') && !isDigit('x') && isHexadecimalDigit('F') && isWhitespace('\\t'));
+  CHECK(!isWhitespace('\\n') && isAscii(127) && !isAscii(128) && toAscii(0xC1) == 'A');
+  CHECK(B101 == 5 && B00000011 == 3 && B11111111 == 255);
+  static_assert(min(3, 5L) == 3 && max(2, 7) == 7, "constants");
+  uint8_t bytes[4];
+  Serial.feed("abc");
+  CHECK(Serial.readBytes(bytes, 3) == 3 && bytes[2] == 'c');
+  CHECK(Serial.println(Point()) == 4);
+  Serial1.begin(115200), Serial2.begin(115200), Serial3.begin(115200), port.begin(9600);
+  CHECK(EEPROM.length() == 1024 && EEPROM.read(1023) == 0xFF);
+  unsigned long then = micros();
+  EEPROM.write(7, 12);
+  CHECK(micros() - then >= 3300 && micros() - then < 3400 && EEPROM[7] == 12);
+  EEPROM.update(7, 12);
+  CHECK(micros() - then < 3400);
+  Settings settings = {-300, 2}, copy;
+  EEPROM.put(10, settings);
+  EEPROM.get(10, copy);
+  CHECK(copy.current == -300 && copy.address == 2);
+  volatile uint8_t *out = portOutputRegister(digitalPinToPort(9));
+  CHECK(digitalPinToPort(9) == 2 && digitalPinToBitMask(9) == 2 && digitalPinToPort(0) == 4);
+  pinMode(9, OUTPUT);
+  *out |= digitalPinToBitMask(9);
+  CHECK(digitalRead(9) == HIGH && (PORTB & 2) && (*portInputRegister(digitalPinToPort(9)) & 2));
+  *out &= ~digitalPinToBitMask(9);
+  CHECK(digitalRead(9) == LOW && !(PORTB & 2));
+  pulsestage::end(0);
+}
+void loop() {}
+"""
+POINTER_STEPS = """\
+void setup() {
+  volatile uint8_t *step = portOutputRegister(digitalPinToPort(2));
+  *portModeRegister(digitalPinToPort(2)) |= digitalPinToBitMask(2);
+  for (int k = 0; k < 9; k++) {
+    *step |= digitalPinToBitMask(2);
+    delayMicroseconds(5);
+    *step &= ~digitalPinToBitMask(2);
+    delayMicroseconds(500);
+  }
+  digitalWrite(2, HIGH);
+  delay(1);
+  digitalWrite(2, LOW);
+}
+void loop() {}
+"""
+
+
+def test_headers_and_functions_that_libraries_use_are_those_of_the_real_core(tmp_path):
+    (tmp_path / "names.ino").write_text(NAMES)
+    with NativeHost(tmp_path / "names.ino", make_board()) as host:
+        code = host.run().code
+    assert code == 0, NAMES.splitlines()[code - 1]
+
+
+def test_steps_written_through_the_pointer_to_a_port_move_the_axis(tmp_path):
+    (tmp_path / "pointer.ino").write_text(POINTER_STEPS)
+    stage = Stage("xyz", chips="stepdir", drives="a4988", visuals=False)
+    with NativeHost(tmp_path / "pointer.ino", Board(stage), pins="x.step=2,x.dir=5") as host:
+        host.run_for(0.1)
+    assert stage.axes["x"].commanded == pytest.approx(10 / 3.2e5), "9 by the pointer, and 1 by digitalWrite"

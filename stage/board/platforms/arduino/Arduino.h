@@ -13,6 +13,8 @@ extern "C++" { /* also where a program in C is included */
 
 #include <avr/interrupt.h>
 #include <avr/pgmspace.h>
+#include <WCharacter.h>
+#include <binary.h>
 #include <ctype.h>
 #include <math.h>
 #include <stdbool.h>
@@ -44,6 +46,9 @@ extern "C++" { /* also where a program in C is included */
 #define LSBFIRST 0
 #define MSBFIRST 1
 #define NOT_AN_INTERRUPT (-1)
+#define NOT_A_PIN 0
+#define NOT_A_PORT 0
+#define NOT_ON_TIMER 0
 
 typedef bool boolean;
 typedef uint8_t byte;
@@ -67,17 +72,76 @@ typedef uint16_t word;
 #define clockCyclesPerMicrosecond() (F_CPU / 1000000L)
 #define makeWord(high, low) ((word)((high) << 8 | (low)))
 
-template <typename A, typename B> static inline typename std::common_type<A, B>::type min(A a, B b) { return a < b ? a : b; }
-template <typename A, typename B> static inline typename std::common_type<A, B>::type max(A a, B b) { return a > b ? a : b; }
+template <typename A, typename B> static inline constexpr typename std::common_type<A, B>::type min(A a, B b) { return a < b ? a : b; }
+template <typename A, typename B> static inline constexpr typename std::common_type<A, B>::type max(A a, B b) { return a > b ? a : b; }
 
 static inline long map(long x, long from_low, long from_high, long to_low, long to_high)
 {
     return (x - from_low) * (to_high - to_low) / (from_high - from_low) + to_low;
 }
 
+/* Pointers to the registers of a port. A write through them reaches the pins, and what they read is renewed, at the next call that is
+ * about pins or time; a pulse that begins and ends between two such calls is not seen. */
+namespace pulsestage
+{
+struct PortPointers {
+    bool any, ports[PORTS], inputs[PORTS];
+    uint8_t port[PORTS], ddr[PORTS], levels[PORTS]; /* as they were last; what the pins read */
+};
+inline __attribute__((visibility("hidden"))) PortPointers &port_pointers()
+{
+    static PortPointers all;
+    return all;
+}
+inline void follow(uint8_t &which, uint8_t &last, int at)
+{
+    const uint8_t value = which;
+    if (value == last)
+        return;
+    which = last;
+    last = value;
+    change(which, at, value);
+}
+inline void follow_pointers()
+{
+    PortPointers &all = port_pointers();
+    for (int at = 0; all.any && at < PORTS; at++) {
+        if (all.ports[at]) {
+            follow(pins().ddr[at], all.ddr[at], at);
+            follow(pins().port[at], all.port[at], at);
+        }
+        if (all.inputs[at])
+            all.levels[at] = look(at);
+    }
+}
+inline volatile uint8_t *point_at_port(int port, uint8_t (&registers)[PORTS])
+{
+    PortPointers &all = port_pointers();
+    const int at = (port - 1) & (PORTS - 1);
+    follow_pointers();
+    all.any = all.ports[at] = true;
+    all.port[at] = pins().port[at], all.ddr[at] = pins().ddr[at];
+    return &registers[at];
+}
+inline volatile uint8_t *point_at_inputs(int port)
+{
+    PortPointers &all = port_pointers();
+    const int at = (port - 1) & (PORTS - 1);
+    all.any = all.inputs[at] = true;
+    all.levels[at] = look(at);
+    return &all.levels[at];
+}
+} // namespace pulsestage
+#define digitalPinToPort(pin) uint8_t((pulsestage::core_pin(pin) >> 3) + 1)
+#define digitalPinToBitMask(pin) uint8_t(1 << (pulsestage::core_pin(pin) & 7))
+#define portOutputRegister(of) pulsestage::point_at_port(of, pulsestage::pins().port)
+#define portModeRegister(of) pulsestage::point_at_port(of, pulsestage::pins().ddr)
+#define portInputRegister(of) pulsestage::point_at_inputs(of)
+
 /* pins */
 static inline void pinMode(int pin, int mode)
 {
+    pulsestage::follow_pointers();
     const int at = pulsestage::core_pin(pin);
     const uint8_t bit = uint8_t(1 << (at & 7));
     pulsestage::Pins &p = pulsestage::pins();
@@ -88,12 +152,14 @@ static inline void pinMode(int pin, int mode)
 }
 static inline void digitalWrite(int pin, int level)
 {
+    pulsestage::follow_pointers();
     const int at = pulsestage::core_pin(pin);
     const uint8_t bit = uint8_t(1 << (at & 7)), was = pulsestage::pins().port[at >> 3];
     pulsestage::change(pulsestage::pins().port[at >> 3], at >> 3, uint8_t(level ? was | bit : was & ~bit));
 }
 static inline int digitalRead(int pin)
 {
+    pulsestage::follow_pointers();
     const int at = pulsestage::core_pin(pin);
     return pulsestage::look(at >> 3, uint8_t(1 << (at & 7))) ? HIGH : LOW;
 }
@@ -119,17 +185,20 @@ static inline void shiftOut(int data, int clock, int order, uint8_t value)
 /* time */
 static inline unsigned long micros(void)
 {
+    pulsestage::follow_pointers();
     pulsestage::interrupt_line().look();
     return (unsigned long)ps_micros();
 }
 static inline unsigned long millis(void) { return micros() / 1000; }
 static inline void delayMicroseconds(unsigned int us)
 {
+    pulsestage::follow_pointers();
     ps_delay_us(us);
     pulsestage::interrupt_line().look();
 }
 static inline void delay(unsigned long ms)
 {
+    pulsestage::follow_pointers();
     for (; ms > 1000000; ms -= 1000000)
         ps_delay_us(1000000000);
     ps_delay_us((uint32_t)(ms * 1000));

@@ -11,6 +11,16 @@ extern "C++" { /* also where a program in C is included */
 #include <stdarg.h>
 #include <string.h>
 
+class Print;
+
+/* What prints itself. */
+class Printable
+{
+  public:
+    virtual ~Printable() {}
+    virtual size_t printTo(Print &printer) const = 0;
+};
+
 class Print
 {
   public:
@@ -27,6 +37,7 @@ class Print
     size_t print(const char *text) { return write(text); }
     size_t print(const __FlashStringHelper *text) { return write(reinterpret_cast<const char *>(text)); }
     size_t print(const String &text) { return write(text.c_str()); }
+    size_t print(const Printable &what) { return what.printTo(*this); }
     size_t print(char c) { return write(uint8_t(c)); }
     size_t print(double v, int places = 2) { return print(String(v, places)); }
     size_t print(unsigned char v, int base = 10) { return print(String(v, base)); }
@@ -49,6 +60,15 @@ class Print
         return write(text);
     }
     virtual void flush() {}
+    virtual int availableForWrite() { return 0; }
+    int getWriteError() { return write_error_; }
+    void clearWriteError() { write_error_ = 0; }
+
+  protected:
+    void setWriteError(int error = 1) { write_error_ = error; }
+
+  private:
+    int write_error_ = 0;
 };
 
 class Stream : public Print
@@ -86,6 +106,9 @@ class Stream : public Print
             to[k++] = char(c);
         return k;
     }
+    size_t readBytes(uint8_t *to, size_t n) { return readBytes(reinterpret_cast<char *>(to), n); }
+    size_t readBytesUntil(char end, uint8_t *to, size_t n) { return readBytesUntil(end, reinterpret_cast<char *>(to), n); }
+    unsigned long getTimeout() const { return timeout_ms_; }
     long parseInt() { return strtol(number(false).c_str(), nullptr, 10); }
     float parseFloat() { return strtof(number(true).c_str(), nullptr); }
 
@@ -131,7 +154,7 @@ class HardwareSerial : public Stream
         const int n = pulsestage::serial_line().available();
         return n < 63 ? n : 63;
     }
-    int availableForWrite() { return 63; }
+    int availableForWrite() override { return 63; }
     int read() override { return pulsestage::serial_line().take(); }
     int peek() override { return pulsestage::serial_line().peek(); }
     /* What is received from now on; the text stays the caller's. */
@@ -139,7 +162,9 @@ class HardwareSerial : public Stream
 };
 
 #define SERIAL_8N1 0x06
-static HardwareSerial Serial __attribute__((unused)), Serial1 __attribute__((unused));
+/* All ports are the board's one serial line. */
+static HardwareSerial Serial __attribute__((unused)), Serial1 __attribute__((unused)), Serial2 __attribute__((unused)),
+    Serial3 __attribute__((unused));
 
 } /* extern "C++" */
 #endif

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #define PROGMEM
+#define __flash
 #define PGM_P const char *
 #define PGM_VOID_P const void *
 #define PSTR(text) (text)

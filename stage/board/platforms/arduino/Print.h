@@ -1,0 +1,2 @@
+/* Print.h on an emulated board: HardwareSerial.h has the class Print. */
+#include <Arduino.h>

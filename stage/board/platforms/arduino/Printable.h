@@ -1,0 +1,2 @@
+/* Printable.h on an emulated board: HardwareSerial.h has the class Printable. */
+#include <Arduino.h>

@@ -1,0 +1,2 @@
+/* Stream.h on an emulated board: HardwareSerial.h has the class Stream. */
+#include <Arduino.h>

@@ -1,0 +1,2 @@
+/* new.h on an emulated board: placement new and delete. */
+#include <new>
