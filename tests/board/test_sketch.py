@@ -20,6 +20,9 @@ static unsigned long *go(Point p,
 template <typename T> T twice(T t) { return 2 * t; }
 int with(int n = 3) { return n; }
 Point &Thing::method() { }
+Thing::Thing(int a, int b)
+    : Base(a, b)
+{ }
 ISR(INT0_vect) { }
 class A { void inside() {} };
 """

@@ -62,7 +62,7 @@ def _find_functions(text: str) -> list[tuple[int, str]]:
                 kind, name, arguments = function.groups()
                 words = kind.split()
                 at = begin + function.start() + len(kind) - len(kind.lstrip())
-                may_have = "template" not in words and "::" not in kind and "=" not in arguments
+                may_have = not {"template", ":"}.intersection(words) and "::" not in kind and "=" not in arguments
                 if may_have and words and words[0] not in _NO_TYPE and name not in ("if", "for", "while", "switch"):
                     found.append((at, f"{' '.join(words)} {name}({' '.join(arguments.split())})"))
             depth += 1
