@@ -9,6 +9,7 @@ from stage import Drive, Stage, firmware
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, get_driver
 from stage.testing import assert_no_lost_steps
+from stage.testing.assertions import read_pulse_rate
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +31,29 @@ def test_a_move_takes_the_carriage_to_the_distance_and_loses_no_step(stage):
     assert (report.ok, report.pulses, report.stopped_by, report.lost_steps) == (True, 9600, "all steps", 0)
     assert x.position == pytest.approx(0.03, abs=5e-6)
     assert report.peak_rate == pytest.approx(16_000, rel=0.01)
+
+
+def test_the_duration_of_a_move_ends_with_its_profile(stage):
+    """3,200 steps at 12,000 pps with ramps of 0.1 s from 2,000 pps: 2 x 700 steps on the ramps, 1,800 between them."""
+    ramps = {"start_speed": 2000 * 3.125e-6, "speed": 12_000 * 3.125e-6, "accel": 0.1, "decel": 0.1}
+    report = firmware.move(stage.axes["x"], pulses=3200, **ramps)
+    assert report.duration == pytest.approx(0.2 + 1800 / 12_000, abs=0.5e-3)
+    assert report.average_rate == pytest.approx(3200 / 0.35, rel=2e-3)
+    assert report.rates[-1] == 0
+    home = firmware.home(stage.axes["x"])
+    assert home.rates[-1] == 0
+
+
+def test_a_step_of_a_host_after_a_move_shows_a_rate_again(stage):
+    chip = stage.axes["x"].chip
+    firmware.move(stage.axes["x"], pulses=100)
+    assert read_pulse_rate(stage.axes["x"]) == 0
+    for _ in range(2):
+        chip.pins.step = True
+        stage.run(5e-6)
+        chip.pins.step = False
+        stage.run(995e-6)
+    assert read_pulse_rate(stage.axes["x"]) == pytest.approx(1000)
 
 
 def test_pulses_that_python_makes_on_the_lines_move_the_carriage(stage):

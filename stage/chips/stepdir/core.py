@@ -11,7 +11,7 @@ import numpy as np
 
 from stage.chips.core_interface import SCAN_ROOM, run_slices
 from stage.chips.stepdir import step_timer
-from stage.chips.stepdir.state import ENABLE, INPUTS, OUTPUTS, RATE, STATE
+from stage.chips.stepdir.state import ENABLE, INPUTS, OUTPUTS, RATE, STATE, STEP
 from stage.chips.stepdir.step_edges import apply_line_levels, compute_mean_count
 from stage.native import array_of, exported, greatest, record
 
@@ -131,6 +131,8 @@ def write(chip, address, value):
 def set_input(chip, axis_index, word):
     """Set the levels of the input pins, and process the edges of STEP, DIR and ENABLE."""
     rising = word & ~chip.inputs
+    if rising & STEP and not chip.running:
+        chip.steps_done = 0
     apply_line_levels(chip, word)
     step_timer.stop_at_switches(chip, rising)
 

@@ -58,7 +58,7 @@ STATE = record(
         ("end_reason", "i8"),  # why the last move ended, a value of the status field `end`
         ("events", "i8"),  # steps of the longest axis of the line; 0: no end
         ("steps", "i8"),  # steps of this axis among them
-        ("steps_done", "i8"),  # steps of this move so far
+        ("steps_done", "i8"),  # steps of this move so far; 0 from the next step of a host on
         ("started", "i8"),  # clock at which the profile began
         ("next_rise", "i8"),  # clock of the next rising edge, or NEVER
         ("next_fall", "i8"),  # clock of the next falling edge, or NEVER
