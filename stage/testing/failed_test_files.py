@@ -16,6 +16,7 @@ import pytest
 import stage as package
 from stage.board.bus.host_record import STRAY
 from stage.chips.cycle_descriptions import decode
+from stage.chips.diagnostics import describe_mistakes
 from stage.errors import StageError
 from stage.recording import Recording
 from stage.sim import plant
@@ -115,11 +116,8 @@ class FailedTestFiles:
                 + (f", asserted: {on}" if on else "")
                 + describe_missing_current(axis)
             )
-        mistakes = sum(len(chip.diagnostics) for chip in stage.chips)
-        if mistakes:
-            lines.append(
-                f"  {mistakes} bus writes that a data-sheet reader would call mistakes: assert_no_diagnostics(stage)"
-            )
+        if mistakes := describe_mistakes(stage.chips):
+            lines.append(f"  {mistakes} that a data-sheet reader would call mistakes: assert_no_diagnostics(stage)")
         if self.board is not None:
             cycles = self.board.trace.lines()
             if strays := int(cycles["count"][cycles["kind"] & STRAY != 0].sum()):

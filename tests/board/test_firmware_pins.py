@@ -10,6 +10,7 @@ from stage import ArgumentError, Stage, firmware
 from stage.board import Board, HostError, LibraryError, NativeHost
 from stage.cli import main
 from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
+from stage.testing import assert_no_diagnostics
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no cc")
 PINS = "x.step=2,y.step=3,x.dir=5,y.dir=!D6,x.enable=!8,y.enable=!8,x.limit=!9,y.limit=!9,x.probe=A1"
@@ -287,3 +288,23 @@ def test_the_command_fails_for_wrong_wiring_and_prints_it(tmp_path, capsys):
 def test_lines_that_nobody_can_want_are_refused(run, pins, message):
     with pytest.raises(ArgumentError, match=message):
         run("", pins=pins)
+
+
+def test_steps_that_are_too_short_are_counted_one_by_one_and_are_no_bus_writes(run, tmp_path, capsys):
+    body = "for (int k = 0; k < 3200; k++) { ps_pin_write(2, 1); ps_pin_write(2, 0); ps_delay_us(300); }"
+    host, _ = run(body, pins="x.step=2", drives="drv8825")
+    with pytest.raises(
+        AssertionError, match=r"(?s)^3,200 edges that .*needs 1.9 us: .* \(timing\), 3,200 times\n"
+    ) as info:
+        assert_no_diagnostics(host.board.stage)
+    assert "bus write" not in str(info.value)
+    assert "address" not in str(info.value)
+    command = ["run", str(tmp_path / "driver.c"), "--model", "xy", "--chips", "stepdir", "--drive", "drv8825"]
+    main([*command, "--pins", "x.step=2"])
+    out = capsys.readouterr().out
+    assert "chip of x: 3,200 edges that a reader of the data sheet would call mistakes" in out
+    assert "[timing] (3,200 times)" in out
+    assert "address" not in out
+    main([*command, "--pins", "x.step=2", "--json"])
+    (diagnostic,) = json.loads(capsys.readouterr().out)["diagnostics"]["x"]
+    assert (diagnostic["times"], diagnostic["address"], diagnostic["value"]) == (3200, None, None)

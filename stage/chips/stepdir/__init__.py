@@ -19,6 +19,7 @@ from stage.chips.diagnostics import Diagnostic
 from stage.chips.stepdir import core
 from stage.chips.stepdir.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.stepdir.line_names import DRIVEN, READ, Line
+from stage.chips.stepdir.lint import TIMES as TIME_RULES
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
 from stage.chips.stepdir.state import ENABLE, TIMES
@@ -75,6 +76,10 @@ class STEPDIR(Chip):
                 finding = describe_violation(which, observed_s, required_s, self.power_stage, bool(c["drops_edges"]))
                 self.diagnose(int(c["first_violation"][which]), 0, 0, [finding])
         return diagnostics
+
+    def count_edges_of(self, diagnostic: Diagnostic) -> int:
+        keys = [TIME_RULES[which][0].key for which in range(TIMES)]
+        return int(self.state["violations"][keys.index(diagnostic.key)]) if diagnostic.key in keys else 0
 
     @classmethod
     @explain_arguments
