@@ -75,7 +75,7 @@ class ReferenceHCTL1100:
     def enter_idle(self):
         self.mode = "idle"
         self.forget()
-        self.build_drive(0)
+        self.drive(0)
         self.obey_sync()
 
     def forget(self):
@@ -136,7 +136,7 @@ class ReferenceHCTL1100:
             if self.align_left == 0:
                 self.mode, self.index_at, self.held_ring = "control", self.encoder, 0
                 self.forget()
-                self.build_drive(0)
+                self.drive(0)
             return
         if self.mode != "control":
             return
@@ -154,7 +154,7 @@ class ReferenceHCTL1100:
             self.x_before = x
         self.mc_before = mc
         self.at_last_sample = self.encoder
-        self.build_drive(mc)
+        self.drive(mc)
 
     # --- control laws ---
 
@@ -283,7 +283,7 @@ class ReferenceHCTL1100:
             new = sign_extended(self.waiting[0] * 65536 + self.waiting[1] * 256 + value, 24)
             if self.computing and self.law != "proportional":
                 torn = sign_extended(self.command // 256 * 256 + value, 24)
-                self.build_drive(self.filtered(sign_extended(torn - self.then, 24)))
+                self.drive(self.filtered(sign_extended(torn - self.then, 24)))
             self.command, self.fraction = new, 0
         elif address == 0x13:
             self.offset = self.encoder
@@ -309,10 +309,10 @@ class ReferenceHCTL1100:
         if not self.computing:
             return
         if self.law == "proportional" and address in (0x23, 0x24):
-            self.build_drive(self.proportional())
+            self.drive(self.proportional())
         elif self.law == "integral" and address == 0x3C:
             jump = (256 * sign_extended(self.register[0x3C], 8) - self.velocity) // 256
-            self.build_drive(self.filtered(sign_extended(self.x_before + jump, 24)))
+            self.drive(self.filtered(sign_extended(self.x_before + jump, 24)))
 
     def write_in_idle(self, address, value):
         if address == 0x08:
@@ -348,7 +348,7 @@ class ReferenceHCTL1100:
         elif value in (2, 3) and self.mode == "idle" and not self.limited:
             if value == 2:
                 self.mode, self.align_left = "align", 4096
-                self.build_drive(127)
+                self.drive(127)
             else:
                 self.mode = "control"
                 self.forget()
