@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,8 +56,12 @@ class AvrLines:
         self._row = np.array([(*tables, avr.find_function_address("avr_ioctl"))], avr_core.LINES)
         avr.record.lines = self._row.ctypes.data
 
-    def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
-        """Return the signs that lines of axes are at the wrong pins of the program."""
+    def find_wiring_findings(self, pwm_outputs: Mapping[tuple[int, int], str]) -> tuple[WiringFinding, ...]:
+        """Return the signs that lines of axes are at the wrong pins of the program, or at pins that it drives by PWM.
+
+        Args:
+            pwm_outputs: Timer and mode of the pins, as port and bit, that a timer drives by PWM.
+        """
         ports = dict(zip(self._port_numbers, self._ports, strict=True))
         uses = [
             PinUse(line, int(ports[port]["rises"][bit]), int(ports[port]["pull_ups"][bit]))
@@ -71,7 +75,18 @@ class AvrLines:
             for bit in np.flatnonzero(row["rises"]).tolist()
             if (port, bit) not in used
         }
-        return find_wiring_findings(uses, others, {name: axis.chip for name, axis in self._axes.items()})
+        findings = find_wiring_findings(uses, others, {name: axis.chip for name, axis in self._axes.items()})
+        pwm = tuple(
+            WiringFinding(
+                line.axis,
+                f"{line.axis}.{line.line} = {line.pin} is a PWM output of {pwm_outputs[port, bit]}, which this target does not "
+                "drive. Make its edges in CTC mode or by the program.",
+            )
+            for port, bit, line in self._places
+            if line.line in DRIVEN and (port, bit) in pwm_outputs and ports[port]["rises"][bit] <= 1
+        )
+        explained = {"", *(finding.axis for finding in pwm)} if pwm else set()
+        return pwm + tuple(finding for finding in findings if finding.axis not in explained)
 
     def _find_chip(self, line: PinLine) -> tuple[int, int]:
         """Return the number of a line's chip, and the bits of the chip's input pins."""

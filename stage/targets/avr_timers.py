@@ -41,12 +41,13 @@ VECTOR = record([(name, "i8") for name in "timer vector pending enable enable_ma
     pending            address of the byte whose bit 0 says that simavr will serve it
     enable, flag       registers with its enable bit and its flag, and the bits
 """
-UNIT = record([(name, "i8") for name in "register high value matches vector mode pin irq".split()])
+UNIT = record([(name, "i8") for name in "register high value matches vector mode pin irq pwm_mode".split()])
 """register, high     address of OCR, low and high byte; 0: there is none
     value, matches     what the counter is compared with, and how often it matched on the way to the present tick
     vector             address of its VECTOR
     mode, pin          register bits of the output mode and of the pin's level
     irq                simavr IRQ of the output
+    pwm_mode           last PWM mode of the timer in which the output was connected, plus 1; 0: there was none
 """
 N_UNITS, CAPTURE = 4, 3
 """Compare units A, B, C; ICR, which is one where it is the TOP value."""
@@ -365,6 +366,16 @@ def _strobe_outputs(timer, simavr, value):
             _drive_output(simavr, units[k], 1)
 
 
+@hot
+def _note_pwm_outputs(timer, simavr):
+    """Note each output that a timer would drive in a mode other than normal and CTC, because nothing makes its edges."""
+    mode, units = _read_selected_number(simavr, timer.modes), array_at(timer.units, N_UNITS, UNIT)
+    if timer.runs and timer.kinds[mode] != NORMAL and timer.kinds[mode] != CTC:
+        for k in range(CAPTURE):
+            if read_bits(simavr, units[k].mode):
+                units[k].pwm_mode = mode + 1
+
+
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_control(_avr, register, value, timer):
     """Handle a write of TCCRnA, TCCRnB or ASSR."""
@@ -377,6 +388,7 @@ def write_control(_avr, register, value, timer):
     was_simavrs, before = timer.is_simavrs, read_register_byte(simavr, register)
     write_register_byte(simavr, register, value)
     _select_mode(timer, simavr, cycle)
+    _note_pwm_outputs(timer, simavr)
     if timer.is_simavrs or was_simavrs:
         write_register_byte(simavr, register, before)
     if timer.is_simavrs:

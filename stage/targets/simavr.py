@@ -438,7 +438,7 @@ class LoadedAvr:
 
     def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Return the signs that lines of axes are at the wrong pins of the program."""
-        return self._lines.find_wiring_findings() if self._lines else ()
+        return self._lines.find_wiring_findings(self._overlay.find_pwm_outputs()) if self._lines else ()
 
     def close(self) -> None:
         """Free the avr_t."""

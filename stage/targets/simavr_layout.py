@@ -49,7 +49,7 @@ COMPARE = _make_structure_type(
     136, vector=(0, VECTOR), timer=(104, "i8"), low=(112, "u2"), high=(114, "u2"), mode=(116, "u4"), pin=(120, "u4")
 )
 TIMER = _make_structure_type(
-    896, module=(0, MODULE), count_low=(84, "u2"), icr_low=(86, "u2"), count_high=(88, "u2"), icr_high=(90, "u2"),
+    896, module=(0, MODULE), name=(72, "u1"), count_low=(84, "u2"), icr_low=(86, "u2"), count_high=(88, "u2"), icr_high=(90, "u2"),
     modes=(92, ("u4", 4)), kinds=(108, ("u4", 16)), asynchronous=(184, "u4"), clocks=(188, ("u4", 4)),
     shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), capture_edge=(240, "u4"), compare=(248, (COMPARE, 3)),
     overflow=(656, VECTOR), capture=(760, VECTOR),

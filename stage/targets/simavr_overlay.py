@@ -13,11 +13,14 @@ import numpy as np
 
 from stage.native import Exported, address_of
 from stage.targets import avr_timers, avr_transmitter, simavr_layout
+from stage.targets.avr_core import PORTS
 from stage.targets.avr_timers import CAPTURE, N_UNITS, ORIGINAL, SIMAVR, TIMER, UNIT, VECTOR
 from stage.targets.simavr_layout import get_mask, get_offset, get_register, view_structure
 
 RESPONSE, THREE_BYTE_FLASH = 4, 0x20000
 """Cycles from an interrupt to its vector, and the size of the flash (bytes) from which the return address takes one more."""
+PORT_A, PORT_H = 0x22, 0x102
+"""Addresses of the registers PORTA and PORTH. The registers of the ports A to G, and of H to L, follow each other."""
 N_VECTORS = 5
 """Interrupts of a timer: three compare units, overflow, capture."""
 _FUNCTIONS = {
@@ -45,6 +48,7 @@ class SimavrOverlay:
         modules = simavr_layout.list_modules_of(library, avr, "tmr")
         timers = [t for t in modules if _is_known_timer(view_structure(t, simavr_layout.TIMER))]
         self._simavr, self._timers = np.zeros(1, SIMAVR), np.zeros(len(timers), TIMER)
+        self._names = [chr(view_structure(t, simavr_layout.TIMER)["name"]) for t in timers]
         self._units = np.zeros((len(timers), N_UNITS), UNIT)
         self._vectors = np.zeros((len(timers), N_VECTORS), VECTOR)
         self._originals: list[np.ndarray] = []
@@ -56,6 +60,17 @@ class SimavrOverlay:
         self._connect_interrupts()
         self._connect_responses(avr)
         self._connect_uarts(avr)
+
+    def find_pwm_outputs(self) -> dict[tuple[int, int], str]:
+        """Return the pins that the program has made PWM outputs, as port and bit, with a text such as "timer 1, mode 14"."""
+        return {
+            (
+                find_port_of_register(get_register(unit["pin"])),
+                int(unit["pin"]) >> 9 & 7,
+            ): f"timer {name}, mode {unit['pwm_mode'] - 1}"
+            for name, units in zip(self._names, self._units, strict=True)
+            for unit in units[units["pwm_mode"] > 0]
+        }
 
     def _fill_simavr(self, avr: int) -> None:
         """Fill the SIMAVR record with addresses of an avr_t and of functions of the library."""
@@ -96,8 +111,8 @@ class SimavrOverlay:
         for n, unit in enumerate(timer["compare"]):
             pin = unit["pin"] if get_register(unit["pin"]) else 0
             irq = simavr_layout.find_output_irq(address, n)
-            self._units[k, n] = unit["low"], unit["high"], 0, 0, vectors[n], unit["mode"], pin, irq
-        self._units[k, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0)
+            self._units[k, n] = unit["low"], unit["high"], 0, 0, vectors[n], unit["mode"], pin, irq, 0
+        self._units[k, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0, 0)
 
     def _fill_vector(self, k: int, n: int, address: int) -> int:
         """Fill the VECTOR record `n` of timer `k` for the interrupt of simavr at an address.
@@ -204,6 +219,12 @@ class SimavrOverlay:
         """Register a compiled function that simavr calls with a record when a simavr IRQ changes."""
         address = ctypes.c_void_p(self._get_address(function))
         self._library["avr_irq_register_notify"](ctypes.c_void_p(irq), address, ctypes.c_void_p(address_of(row)))
+
+
+def find_port_of_register(register: int) -> int:
+    """Return the number, in avr_core.PORTS, of the port that has a PORT register at an address in memory."""
+    first, step = (PORT_A, 0) if register < PORT_H else (PORT_H, PORTS.index("H"))
+    return step + (register - first) // 3
 
 
 def _is_known_timer(timer: Any) -> bool:

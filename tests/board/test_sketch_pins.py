@@ -207,3 +207,18 @@ def test_pins_of_the_bus_of_a_chip_are_no_step_pins(run):
         body + "void setup() { pinMode(12, OUTPUT); pinMode(4, OUTPUT); step(12, 20); step(4, 20); }", "x.step=2"
     )
     assert host.wiring_problems == ()
+
+
+def test_an_analog_write_at_a_line_of_an_axis_fails_the_run_unless_it_is_a_level(run):
+    """0 and 255 are levels on the board, too."""
+    host = run("void setup() { analogWrite(2, 64); analogWrite(6, 64); }", pins="x.step=2,x.dir=5")
+    assert (
+        "analogWrite of pin 2 made no pulses: there are no PWM outputs; use tone, or digitalWrite."
+        in host.wiring_problems
+    )
+    host = run(
+        "void setup() { for (int k = 0; k < 20; k++) { analogWrite(2, 255); analogWrite(2, 0); } }",
+        pins="x.step=2,x.dir=5",
+    )
+    assert host.wiring_problems == ()
+    assert list_steps(host)[0] == 20

@@ -149,7 +149,9 @@ def plan_moves():
         except StageError as error:
             results[k] = str(error)
             continue
-        rows = {n: [a.row.tolist(), a.fl, a.fh, a.has_ramps, a.span, a.accel, a.decel, a.offset] for n, a in p.axes.items()}
+        rows = {
+            n: [a.row.tolist(), a.fl, a.fh, a.has_ramps, a.span, a.accel, a.decel, a.offset] for n, a in p.axes.items()
+        }
         results[k] = [str(p), rows, str(p.deviation), p.perfect, p.distances]
     return results
 

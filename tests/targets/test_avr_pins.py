@@ -537,3 +537,40 @@ def test_the_command_reports_a_step_pin_that_never_changes(build, capsys):
         main(["run", str(elf), "--mcu", "atmega328p", "--chips", "stepdir", "--pins", "x.step=D2", "--in-process"]) == 1
     )
     assert "x.step = D2 never changed; the program toggles D3" in capsys.readouterr().out
+
+
+PWM = {
+    "x.step=B1": (
+        "DDRB = 2; TCCR1A = 1 << COM1A1 | 1 << WGM11; TCCR1B = 1 << WGM13 | 1 << WGM12 | 1 << CS11; ICR1 = 499; OCR1A = 49;",
+        "timer 1, mode 14",
+    ),
+    "x.step=D6": ("DDRD = 0x40; TCCR0A = 1 << COM0A1 | 3; TCCR0B = 3; OCR0A = 64;", "timer 0, mode 3"),
+    "x.step=B3": ("DDRB = 8; TCCR2A = 1 << COM2A1 | 1; TCCR2B = 2; OCR2A = 64;", "timer 2, mode 1"),
+}
+
+
+@pytest.mark.parametrize("pins", PWM)
+def test_a_step_line_at_a_pwm_output_fails_the_run_with_timer_and_mode(build, pins):
+    """Also if the program switches its timer off at the end."""
+    program, timer = PWM[pins]
+    elf = build(f"int main(void) {{ {program} _delay_ms(5); TCCR0B = TCCR1B = TCCR2B = 0; for (;;); }}")
+    host = make_host(elf, f"{pins},x.dir=D5")
+    host.run_for(0.01)
+    (problem,) = host.wiring_problems
+    assert problem.startswith(
+        f"{pins.replace('=', ' = ')} is a PWM output of {timer}, which this target does not drive."
+    )
+
+
+def test_a_step_line_at_an_output_in_ctc_mode_or_away_from_pwm_is_no_problem(build):
+    """Timer 1 toggles OC1A 1,000 times in 10 ms, and timer 2 makes a PWM at the pin of no line."""
+    host = make_host(
+        build(
+            "int main(void) { DDRB = 10; TCCR2A = 1 << COM2A1 | 1; TCCR2B = 2;"
+            "TCCR1A = 1 << COM1A0; OCR1A = 159; TCCR1B = 1 << WGM12 | 1 << CS10; for (;;); }"
+        ),
+        "x.step=B1,x.dir=D5",
+    )
+    host.run_for(0.01)
+    assert host.wiring_problems == ()
+    assert host.board.stage.axes["x"].chip.net() == pytest.approx(500, abs=1)

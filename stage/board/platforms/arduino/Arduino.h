@@ -257,11 +257,19 @@ static inline int analogRead(int pin)
     ps_micros();
     return 0;
 }
+/* The least and the greatest value are levels, as on the board. Others make no pulses: at a line of an axis, this fails the run. */
 static inline void analogWrite(int pin, int value)
 {
     static bool said;
-    (void)pin, (void)value;
-    pulsestage::missing(said, "analogWrite: nothing is at the PWM outputs");
+    const int at = pulsestage::core_pin(pin);
+    if (value == 0 || value == 255) {
+        pinMode(pin, OUTPUT);
+        digitalWrite(pin, value != 0);
+    } else if (!(pulsestage::pins().lines[at >> 3] >> (at & 7) & 1))
+        pulsestage::missing(said, "analogWrite: nothing is at the PWM outputs");
+    else if (!pulsestage_pin_use.refusal[0])
+        snprintf(pulsestage_pin_use.refusal, sizeof pulsestage_pin_use.refusal,
+                 "analogWrite of pin %d made no pulses: there are no PWM outputs; use tone, or digitalWrite", pin);
 }
 static inline void analogReference(int) {}
 
