@@ -328,6 +328,6 @@ def test_ctrl_c_over_stdio_opens_no_session_for_a_call_that_comes_in(monkeypatch
     )
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=interrupt))
     with pytest.raises(KeyboardInterrupt):
-        asyncio.run(stdio._serve(ToolboxFactory(lambda: Stage("xy", visuals=False))))
+        asyncio.run(stdio._serve_client(ToolboxFactory(lambda: Stage("xy", visuals=False))))
     with pytest.raises(StageError, match="The server ends"):
         created[0].get_toolbox(stdio.SESSION_KEY)

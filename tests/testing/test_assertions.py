@@ -153,7 +153,7 @@ def test_an_axis_that_slides_without_pulses_has_not_stopped(stage, direction):
 
 def test_an_axis_that_creeps_has_not_stopped(stage):
     x = stage.axes["x"]
-    firmware.Port(x).write_registers(R1=20, R7=30)
+    firmware.ChipPort(x).write_registers(R1=20, R7=30)
     for command in (0x08, 0x40, 0x10):
         x.chip.write(0, command)
     x.wait(0.1)
