@@ -34,8 +34,7 @@ def test_a_minute_of_random_moves_lose_no_step_and_no_pulse(seed, tmp_path, caps
 
 @pytest.mark.slow
 def test_the_same_seed_is_the_same_day(monkeypatch):
-    monkeypatch.setattr(soak, "LONGEST", 3.0)
-    """The first origin returns and a move."""
+    monkeypatch.setattr(soak, "MAX_SECONDS", 3.0)  # the first origin returns and a move
     first, second, other = (soak.soak(0.0055, seed, say=lambda _: None) for seed in (9, 9, 8))
     assert first["moves"] > 0
     assert [first[k] for k in TIMELESS] == [second[k] for k in TIMELESS]
