@@ -179,7 +179,7 @@ class PinUse(NamedTuple):
     Attributes:
         line: The line.
         rises: Number of times that the pin rose as an output.
-        pull_ups: Number of times that the program set the pin high while it was an input.
+        pull_ups: Number of times that the program set the pin high while it was an input, since it was last made an output.
     """
 
     line: PinLine
@@ -207,7 +207,10 @@ def find_wiring_findings(
     steps = [use for use in uses if use.line.line == "step"]
     if not steps:
         return _find_unconnected_pins(others, chips)
-    by_axis = [_find_step_finding(use, uses, others, chips[use.line.axis]) for use in steps]
+    by_axis = [
+        _find_step_finding(use, uses, others, chips[use.line.axis]) or _find_direction_finding(use, uses, others)
+        for use in steps
+    ]
     findings = tuple(finding for finding in by_axis if finding)
     if not findings and not any(use.rises for use in steps):
         text = f"The program has made no step: {', '.join(map(str, steps))} never changed, nor did other pins."
@@ -237,8 +240,7 @@ def _find_step_finding(
     is_moving = any(use.rises for use in uses if use.line.line == "step" and use is not step)
     is_problem = not (step.line.is_preset and is_moving)
     if not step.rises and step.pull_ups > 1:
-        text = f"{step} is an input: the program sets it high and low, but never makes it an output, as pinMode does."
-        return WiringFinding(axis, text, is_problem)
+        return WiringFinding(axis, _describe_input(step), is_problem)
     other_lines = [use for use in uses if use.line.axis == axis and use is not step]
     busiest = max(other_lines, key=lambda use: use.rises, default=step)
     if busiest.rises >= max(needed, *others.values(), 0):
@@ -248,15 +250,75 @@ def _find_step_finding(
     likely = {pin: rises for pin, rises in others.items() if rises >= needed}
     if likely or (others and not step.rises):
         count = f"changed only {step.rises} times" if step.rises else "never changed"
+        pins = ", ".join(likely or others)
+        if not (is_problem and likely):
+            text = (
+                f"{step} {count}. The program also toggles {pins}: if one of them is the STEP pin of {axis}, name it in --pins; "
+                "if not, nothing is wrong."
+            )
+            return WiringFinding(axis, text, is_problem=False)
         text = (
-            f"{step} {count}; the program toggles {', '.join(likely or others)}. Name its STEP pin in --pins, or {axis}.step=none "
-            f"if nothing moves {axis}."
+            f"{step} {count}; the program toggles {pins}. Name its STEP pin in --pins, or {axis}.step=none if nothing moves "
+            f"{axis}."
         )
-        return WiringFinding(axis, text, is_problem and bool(likely))
-    state = chip.state
-    has_other_reason = state["counts_disabled"] or (state["drops_edges"] and state["violations"].any())
-    if step.rises >= MIN_RISES and not (state["accepted"] or has_other_reason):
-        enable = next((f"{use} " for use in other_lines if use.line.line == "enable"), "")
-        text = f"{step} rose {step.rises:,} times and made no step: {enable}kept the power stage disabled. Is its polarity right?"
         return WiringFinding(axis, text)
-    return None
+    if is_moving and not (step.rises or step.line.is_preset):
+        text = f"{step} never changed. If nothing moves {axis}, leave its lines out of --pins."
+        return WiringFinding(axis, text, is_problem=False)
+    return _find_ignored_steps(step, other_lines, chip)
+
+
+def _describe_input(use: PinUse) -> str:
+    """Describe, as a sentence, a line at a pin that the program sets high, but leaves an input."""
+    return f"{use} is an input: the program sets it high, but does not make it an output, as pinMode does."
+
+
+def _find_direction_finding(step: PinUse, uses: Sequence[PinUse], others: Mapping[str, int]) -> WiringFinding | None:
+    """Return the finding about the DIR line of an axis that makes steps, or None.
+
+    A direction that never changes is legal, so that another pin that the program toggles is only remarked upon.
+
+    Args:
+        step: STEP line of the axis.
+        uses: Use of each line that the program drives.
+        others: Number of times that pins without a line rose, by name.
+    """
+    axis = step.line.axis
+    direction = next((use for use in uses if (use.line.axis, use.line.line) == (axis, "dir")), None)
+    if not step.rises or (direction and direction.rises):
+        return None
+    if direction and direction.pull_ups:
+        return WiringFinding(axis, _describe_input(direction))
+    if not others or (direction or step).line.is_preset:
+        return None
+    pins, name = ", ".join(others), f"{axis}.dir={next(iter(others))}"
+    observation = f"{direction} never changed" if direction else f"{axis} has no DIR line"
+    text = (
+        f"{observation}, so that {axis} moves one way only; the program also toggles {pins}. If one of them is its DIR pin, name "
+        f"it in --pins: {name}."
+    )
+    return WiringFinding(axis, text, is_problem=False)
+
+
+def _find_ignored_steps(step: PinUse, other_lines: Sequence[PinUse], chip: Chip) -> WiringFinding | None:
+    """Return the finding about steps that a disabled power stage has ignored, or None.
+
+    One ignored edge may be a level that the program sets at its start.
+
+    Args:
+        step: STEP line of the axis.
+        other_lines: Its other lines that the program drives.
+        chip: Its chip.
+    """
+    accepted, ignored = int(chip.state["accepted"]), int(chip.state["ignored"])
+    if not step.rises or not ignored:
+        return None
+    enable = next((str(use) for use in other_lines if use.line.line == "enable"), "ENABLE")
+    if accepted:
+        text = (
+            f"The power stage of {step.line.axis} ignored {ignored:,} of {accepted + ignored:,} steps, because {enable} kept it "
+            "disabled."
+        )
+    else:
+        text = f"{step} rose {step.rises:,} times and made no step: {enable} kept the power stage disabled. Is its polarity right?"
+    return WiringFinding(step.line.axis, text, ignored > 1)

@@ -234,7 +234,7 @@ struct pulsestage_pins {
 extern struct pulsestage_pins pulsestage_pins;
 PULSESTAGE_SHARED struct pulsestage_pins pulsestage_pins = {0, 0, {0}, {0}, {{0, 0, 0, 0, 0}}};
 struct pulsestage_pin_use { /* for the report of pins that seem to be wired wrongly */
-    uint32_t rises[PS_PINS], pull_ups[PS_PINS]; /* how often a pin rose as an output, and was set high while it was an input */
+    uint32_t rises[PS_PINS], pull_ups[PS_PINS]; /* how often a pin rose as an output, and was set high as an input since it was an output */
     int32_t has_ports;                          /* pins are bits of ports */
     char refusal[128];                          /* the first call with a pin or a mode that does not exist, and what is allowed */
 };

@@ -54,7 +54,7 @@ LINE_PORT = record(
     + [(name, "i8", (8,)) for name in ("rises", "pull_ups")]
 )
 """A port: its AVR; its DRIVEN_LINE records; the levels in its PORT register, and which pins are outputs; how often each pin rose as
-an output, and how often the program set it high while it was an input."""
+an output, and how often the program set it high while it was an input, since it was last made an output."""
 READ_LINE = record([(name, "i8") for name in "irq port bit chip mask inverted level last".split()])
 """A line of an axis that the program reads: the simavr IRQ of its pin; the PULLED_PORT of its pin and its bit there; chip, pins and
 inversion as in DRIVEN_LINE; the level of the pin; whether the next line is at another pin."""
@@ -173,6 +173,14 @@ def _count_pins(counts, pins):
         bit += 1
 
 
+@hot
+def _clear_counts(counts, pins):
+    """Set the counts of these pins (bits) to 0."""
+    for bit in range(8):
+        if pins >> bit & 1:
+            counts[bit] = 0
+
+
 @exported(None, "i8", "i4", LINE_PORT)
 def drive_line_levels(_irq, value, port):
     """Store a new value of the PORT register of a port with lines, and drive its lines. simavr calls this at each change."""
@@ -187,6 +195,7 @@ def drive_line_directions(_irq, value, port):
     """Store new directions of the pins of a port with lines, and drive its lines. simavr calls this at each change."""
     changed, port.outputs = (value & 0xFF) ^ port.outputs, value & 0xFF
     _count_pins(port.rises, changed & port.levels & port.outputs)
+    _clear_counts(port.pull_ups, changed & port.outputs)
     _drive_lines(port, changed)
 
 

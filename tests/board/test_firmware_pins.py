@@ -10,7 +10,7 @@ from stage import ArgumentError, Stage, firmware
 from stage.board import Board, HostError, LibraryError, NativeHost
 from stage.cli import main
 from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
-from stage.testing import assert_no_diagnostics
+from stage.testing import assert_no_diagnostics, assert_no_lost_steps, assert_stopped
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no cc")
 PINS = "x.step=2,y.step=3,x.dir=5,y.dir=!D6,x.enable=!8,y.enable=!8,x.limit=!9,y.limit=!9,x.probe=A1"
@@ -155,11 +155,52 @@ def test_a_step_pin_that_never_changes_is_named_with_the_pins_that_do(run, isola
 
 
 def test_a_lamp_that_blinks_is_no_step_pin(run):
-    host, _ = run(f"{pulse(13, 15)} {pulse(3, 300)}")
+    host, _ = run(f"{pulse(13, 15)} {pulse(3, 300)}", "x.step=2,x.dir=5,y.step=3,y.dir=!D6,y.enable=!8")
     assert host.wiring_problems == ()
+    assert [finding.text for finding in host.wiring_findings] == [
+        "x.step = 2 never changed. The program also toggles 13: if one of them is the STEP pin of x, name it in --pins; if not, "
+        "nothing is wrong.",
+        "y.dir = D6 never changed, so that y moves one way only; the program also toggles 13. If one of them is its DIR pin, name "
+        "it in --pins: y.dir=13.",
+    ]
+
+
+def test_a_problem_and_a_remark_have_different_words(run):
+    texts = {}
+    for times in (15, 150):
+        host, _ = run(f"{pulse(2, 320)} {pulse(4, times)}", "x.step=2,x.dir=none,y.step=3")
+        (finding,) = (finding for finding in host.wiring_findings if finding.axis == "y")
+        texts[finding.is_problem] = finding.text
+    assert texts[True].startswith("y.step = 3 never changed; the program toggles 4. Name its STEP pin")
+    assert texts[False].startswith("y.step = 3 never changed. The program also toggles 4: if one of them is")
+
+
+def test_an_axis_that_is_written_out_and_never_moved_is_remarked_upon(run):
+    host, _ = run(pulse(2, 320), "x.step=2,x.dir=5,y.step=3")
+    assert host.wiring_findings == (
+        ("y", "y.step = 3 never changed. If nothing moves y, leave its lines out of --pins.", False),
+    )
+    host, _ = run(pulse("PS_PIN('D', 2)", 320), "grbl")
+    assert host.wiring_findings == (), "a board has the pins of all its axes"
+
+
+BACK_AND_FORTH = f"for (int m = 0; m < 6; m++) {{ ps_pin_write(7, m & 1); {pulse(2, 20)} }}"
+
+
+@pytest.mark.parametrize(
+    ("pins", "text"),
+    [
+        ("x.step=2,x.dir=5", "x.dir = 5 never changed, so that x moves one way only; the program also toggles 7. If one of them"),
+        ("x.step=2", "x has no DIR line, so that x moves one way only; the program also toggles 7. If one of them"),
+    ],
+)  # fmt: skip
+def test_a_direction_at_another_pin_is_remarked_upon(run, pins, text):
+    host, _ = run(BACK_AND_FORTH, pins)
     (remark,) = host.wiring_findings
-    assert (remark.axis, remark.is_problem) == ("x", False)
-    assert remark.text.startswith("x.step = 2 never changed; the program toggles 13.")
+    assert (remark.axis, remark.is_problem, remark.text.startswith(text)) == ("x", False, True)
+    assert remark.text.endswith("is its DIR pin, name it in --pins: x.dir=7.")
+    host, _ = run(BACK_AND_FORTH, "x.step=2,x.dir=7")
+    assert host.wiring_findings == ()
 
 
 def test_an_axis_that_a_board_has_and_a_program_does_not_move_is_no_problem(run):
@@ -207,6 +248,30 @@ def test_a_power_stage_that_stays_disabled_is_a_problem(run, enable, accepted):
         "x.step = 2 rose 320 times and made no step: x.enable = 8 kept the power stage disabled. Is its polarity right?",
     )  # fmt: skip
     assert host.wiring_problems == problems
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+@pytest.mark.parametrize("ignored", [160, 319])
+def test_steps_that_a_disabled_power_stage_ignores_are_a_problem(run, ignored, isolated):
+    body = f"ps_pin_write(8, 1); {pulse(2, ignored)} ps_pin_write(8, 0); {pulse(2, 320 - ignored)}"
+    host, _ = run(body, pins="x.step=2,x.enable=!8", drives="drv8825", isolated=isolated)
+    text = f"The power stage of x ignored {ignored} of 320 steps, because x.enable = 8 kept it disabled."
+    assert host.wiring_problems == (text,)
+    for check in (assert_stopped, assert_no_lost_steps, assert_no_diagnostics):
+        with pytest.raises(AssertionError, match=f"ignored {ignored} of 320 steps"):
+            check(host.board.stage)
+    host, _ = run(body, pins="x.step=2,x.enable=!8", drives="a4988", isolated=isolated)
+    assert host.wiring_findings == (), "an A4988 counts steps while it is disabled"
+
+
+def test_an_edge_before_enable_may_be_a_level_at_the_start(run):
+    host, _ = run(
+        f"ps_pin_write(8, 1); {pulse(2, 1)} ps_pin_write(8, 0); {pulse(2, 319)}",
+        "x.step=2,x.enable=!8",
+        drives="drv8825",
+    )
+    (remark,) = host.wiring_findings
+    assert (remark.is_problem, remark.text.split(", ")[0]) == (False, "The power stage of x ignored 1 of 320 steps")
 
 
 def test_pins_that_no_line_is_at_are_a_problem(run):

@@ -184,10 +184,21 @@ def test_a_step_pin_that_a_sketch_leaves_an_input_is_reported(run):
     host = run("void setup() { step(2, 20); }", "x.step=D2,x.dir=D5")
     assert host.board.stage.axes["x"].chip.net() == 0
     assert host.wiring_problems == (
-        "x.step = D2 is an input: the program sets it high and low, but never makes it an output, as pinMode does.",
+        "x.step = D2 is an input: the program sets it high, but does not make it an output, as pinMode does.",
     )
     host = run("void setup() { digitalWrite(2, HIGH); pinMode(2, OUTPUT); }", "x.step=D2")
     assert host.wiring_findings == (), "it is high before it is an output"
+
+
+def test_a_direction_pin_that_a_sketch_leaves_an_input_is_reported(run):
+    body = "void setup() {{ pinMode(2, OUTPUT); {} digitalWrite(5, HIGH); step(2, 20); digitalWrite(5, LOW); {} step(2, 20); }}"
+    host = run(body.format("", ""), "x.step=2,x.dir=5")
+    assert list_steps(host) == [40, 0, 0]
+    assert host.wiring_problems == (
+        "x.dir = 5 is an input: the program sets it high, but does not make it an output, as pinMode does.",
+    )
+    host = run(body.format("", "pinMode(5, OUTPUT);"), "x.step=2,x.dir=5")
+    assert host.wiring_findings == (), "it was an output in the end"
 
 
 def test_a_sketch_without_pins_names_the_option(run):

@@ -520,8 +520,17 @@ def test_a_step_pin_that_stays_an_input_is_reported(build):
     with make_host(elf, "x.step=D2,x.dir=D5") as host:
         host.run(timeout=1)
         assert host.wiring_problems == (
-            "x.step = D2 is an input: the program sets it high and low, but never makes it an output, as pinMode does.",
+            "x.step = D2 is an input: the program sets it high, but does not make it an output, as pinMode does.",
         )
+
+
+@pytest.mark.parametrize(("directions", "is_reported"), [("", True), ("DDRD |= 0x20;", False)])
+def test_a_direction_pin_that_stays_an_input_is_reported(build, directions, is_reported):
+    elf = build(f"int main(void) {{ DDRD = 4; PORTD |= 0x20; PORTD &= ~0x20; {directions} step(4, 20); return 0; }}")
+    with make_host(elf) as host:
+        host.run(timeout=1)
+        text = "x.dir = D5 is an input: the program sets it high, but does not make it an output, as pinMode does."
+        assert host.wiring_problems == ((text,) if is_reported else ())
 
 
 def test_edges_that_a_program_makes_by_directions_count(build):

@@ -36,6 +36,7 @@ STATE = record(
         ("net", "i8"),  # accepted steps since power-up, plus less minus
         ("origin", "i8"),  # `net` at which POSITION is 0
         ("accepted", "i8"),  # number of accepted steps since power-up
+        ("ignored", "i8"),  # number of steps that a disabled power stage has ignored since power-up
         ("history", "i8", (HISTORY,)),  # of the last accepted steps twice the clock, plus 1 for minus
         ("last_step", "i8"),  # direction of the last rising edge, 1 or -1; 0 if it was not accepted
         ("rose", "i8"),  # clock of the last rising edge of STEP

@@ -44,9 +44,14 @@ def process_rising_step(chip):
 
 @hot
 def count_step(chip, in_time):
-    """Count a step in the direction of DIR, unless its edge came too early for a power stage that drops such edges."""
+    """Count a step in the direction of DIR, or one more that a disabled power stage ignores.
+
+    An edge that came too early for a power stage that drops such edges counts as neither.
+    """
     chip.last_step = 0
-    if (in_time or not chip.drops_edges) and (chip.inputs & ENABLE or chip.counts_disabled):
+    if not (chip.inputs & ENABLE or chip.counts_disabled):
+        chip.ignored += 1
+    elif in_time or not chip.drops_edges:
         minus = 1 if chip.inputs & DIR else 0
         chip.last_step = 1 - 2 * minus
         chip.net += chip.last_step

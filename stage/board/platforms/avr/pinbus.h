@@ -321,6 +321,8 @@ inline void count_rises(const uint8_t &which, int at, uint8_t value)
     for (int bit = 0; set >> bit; bit++) {
         pulsestage_pin_use.rises[at * 8 + bit] += driven >> bit & 1;
         pulsestage_pin_use.pull_ups[at * 8 + bit] += is_port & uint8_t(set & ~driven) >> bit & 1;
+        if (!is_port && set >> bit & 1)
+            pulsestage_pin_use.pull_ups[at * 8 + bit] = 0; /* now it is an output */
     }
 }
 
