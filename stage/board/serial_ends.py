@@ -22,6 +22,7 @@ from stage.errors import ArgumentError, StageError
 
 EXCHANGE_NS = 5_000_000
 LOCALHOST = "127.0.0.1"
+MAX_PORT = 0xFFFF
 FORMS = "pty, pty:LINK (a link to the pseudo-terminal is made there) or tcp:PORT"
 
 
@@ -38,7 +39,9 @@ def open_end(text: str) -> PtyEnd | TcpEnd:
     kind, _, rest = text.partition(":")
     if kind == "pty" and (rest or text == "pty"):
         return PtyEnd(Path(rest) if rest else None)
-    if kind == "tcp" and rest.isascii() and rest.isdigit() and int(rest) < 1 << 16:
+    if kind == "tcp" and rest.isascii() and rest.isdigit():
+        if int(rest) > MAX_PORT:
+            raise ArgumentError(f"--serial {text!r}: TCP ports are 1 to {MAX_PORT}, or 0 for a free one.")
         return TcpEnd(int(rest))
     raise ArgumentError(f"--serial {text!r} is no end of a serial line. Write {FORMS}.")
 

@@ -291,8 +291,9 @@ class ThreadRunner:
         if not answers:
             return (
                 f"{path.name} {duration} without a bus cycle or a delay ({at}): a loop that waits for nothing?"
-                f"{self._locate(path)} Computing takes no time, and no interrupt comes in it, unless cost= (--cost) says what it "
-                f"takes: docs/interrupts.md.{end}"
+                f"{self._locate(path)} A program that has done its work returns, or waits in a delay: `for (;;) _delay_ms(1);`, or "
+                f"ps_delay_us. Computing takes no time, and no interrupt comes in it, unless cost= (--cost) says what it takes: "
+                f"docs/interrupts.md.{end}"
             )
         device = board.devices[answers - 1]
         where = self._locate(device.loaded, path) if isinstance(device, CDevice) else ""

@@ -19,7 +19,7 @@ from typing import Any
 from stage.chips.diagnostics import describe_mistakes
 from stage.cli import options, serial_options
 from stage.cli.commands import add_command, add_facts, report_written_file, warn
-from stage.cli.options import FREQUENCY, TIME, parse_integer
+from stage.cli.options import DURATION, FREQUENCY, TIME, parse_integer
 from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import keep_panel, run_in_real_time, show_panel
 from stage.cli.stage_setup import make_board
@@ -70,7 +70,7 @@ def add_subcommand(commands: Any) -> None:
         help="seconds of real time that the firmware may compute without a bus cycle (default: 20)",
     )  # fmt: skip
     g.add_argument(
-        "--for", dest="seconds", type=TIME, metavar="SECONDS",
+        "--for", dest="seconds", type=DURATION, metavar="SECONDS",
         help="stop the firmware after this many simulated seconds; needed if it never returns, like a sketch",
     )  # fmt: skip
     g.add_argument(

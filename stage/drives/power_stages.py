@@ -12,12 +12,13 @@ A package brings more of them by entry points, and they are then known by their 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.argument_checks import explain_constructor
-from stage.support.package_parts import PackagePart, find_package_parts, load_package_part
+from stage.support.package_parts import PackagePart, find_package_parts, load_package_part, may_have_package_part
 
 GROUP = "pulsestage.power_stages"
 """The entry points of a package that name power stages."""
@@ -90,6 +91,8 @@ class PowerStage:
         for time in TIMES:
             if not 0 <= getattr(self, time) <= MAX_TIME_S:
                 raise ArgumentError(f"{self.name}: {time}={getattr(self, time)!r}: from 0 up to {MAX_TIME_S:g} s.")
+        if not self.microsteps:
+            raise ArgumentError(f"{self.name}: microsteps={{}}: a power stage has at least one number of microsteps.")
         for microsteps, levels in self.microsteps.items():
             is_by_register = bool(self.chip) and levels == ""
             if not 1 <= microsteps <= 256 or not (
@@ -184,6 +187,8 @@ TB6600 = PowerStage(
 )  # fmt: skip
 POWER_STAGES: dict[str, PowerStage] = {p.name: p for p in (IDEAL, A4988, DRV8825, TB6600)}
 """PulseStage's own power stages, by name."""
+_checked_names = {IDEAL.name}
+"""Names whose conflicts with packages were looked for. Each drive has the ideal power stage by default, so its name is left out."""
 
 
 def is_power_stage(name: object) -> bool:
@@ -206,11 +211,27 @@ def find_power_stage(name: str | PowerStage) -> PowerStage:
     if isinstance(name, PowerStage):
         return name
     if isinstance(name, str) and name.lower() in POWER_STAGES:
+        _warn_of_name_conflict(name.lower())
         return POWER_STAGES[name.lower()]
     parts = _find_parts()
     if not isinstance(name, str) or name.lower() not in parts:
         raise unknown_name_error("power stage", name, list_power_stages())
     return _load_power_stage(name.lower(), parts[name.lower()])
+
+
+def _warn_of_name_conflict(name: str) -> None:
+    """Warn once, on stderr, if a package brings a power stage under one of PulseStage's own names."""
+    if name in _checked_names:
+        return
+    _checked_names.add(name)
+    parts = _find_parts().get(name) if may_have_package_part(GROUP, name, str.lower) else None
+    if parts:
+        print(
+            f"PulseStage: {name} is one of PulseStage's own power stages, and stays it, though {' and '.join(map(str, parts))} has "
+            "one of this name: give its entry point another name.",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _load_power_stage(name: str, parts: list[PackagePart]) -> PowerStage:

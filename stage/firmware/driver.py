@@ -638,8 +638,13 @@ def wait_until_stopped(
     while running := [a.name for a in axes if a.chip.busy(a.chip_axis)]:
         passed = clock.time - begin
         if not passed < timeout:
+            reasons = [
+                f" The motor of {axis.name} has no current: {reason}."
+                for axis in axes
+                if axis.name in running and (reason := axis.chip.explain_missing_current(axis.chip_axis))
+            ]
             raise RunTimeout(
-                f"axis {', '.join(running)} still drives after {timeout:.3f} s: give it more time, or stop it."
+                f"axis {', '.join(running)} still drives after {timeout:.3f} s: give it more time, or stop it.{''.join(reasons)}"
             )
         if on_poll is not None:
             on_poll()

@@ -48,6 +48,7 @@ class Report:
         course: Waveforms of the chip's pins and speed, by the clock.
         statements: Decoded bytes that the host wrote: commands, and registers with all their bytes.
         unit: "m", or "rad" on a hinge.
+        missing_current: Why the motor has no current afterwards, for example "ENABLE is not asserted"; "" if it has.
     """
 
     procedure: str
@@ -64,6 +65,7 @@ class Report:
     course: Waveforms = field(repr=False)
     statements: tuple[Statement, ...] = field(repr=False)
     unit: str = "m"
+    missing_current: str = ""
 
     @property
     def ok(self) -> bool:
@@ -101,6 +103,8 @@ class Report:
                 f"  from {POSITION_UNITS[self.unit].format(self.start)} to {POSITION_UNITS[self.unit].format(self.position)}, "
                 f"lost steps {self.lost_steps}"
             )
+        if self.missing_current:
+            lines.append(f"  the motor has no current: {self.missing_current}")
         return "\n".join(lines)
 
     def _describe_undershoot(self) -> str:
@@ -242,5 +246,5 @@ class ProcedureObserver:
             self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(compute_rates(course).max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
             stopped_by, residual, course, tuple(decode(axis.chip.decoder(axis.chip_axis), self.journal.entries)),
-            getattr(axis, "unit", "m"),
+            getattr(axis, "unit", "m"), axis.chip.explain_missing_current(axis.chip_axis),
         )  # fmt: skip

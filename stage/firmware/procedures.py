@@ -135,9 +135,10 @@ def home(
     index = int(index) or int(by == "index")
     if not 0 <= index <= driver.INDEX_PULSES:
         most = f" to {driver.INDEX_PULSES}" if driver.INDEX_PULSES > 1 else ""
-        raise ArgumentError(
-            f"index={index}: {add_article(driver.chip.MAP.chip)} ends at ORG, index=0, or at index pulse 1{most} after it."
+        pulses = (
+            f", or at index pulse 1{most} after it" if driver.INDEX_PULSES else "; it has no input for index pulses"
         )
+        raise ArgumentError(f"index={index}: {add_article(driver.chip.MAP.chip)} ends at ORG, index=0{pulses}.")
     return driver.home(direction, wanted, index, timeout)
 
 

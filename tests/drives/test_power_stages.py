@@ -78,6 +78,7 @@ def test_a_stage_takes_a_power_stage_in_place_of_a_drive():
         ({"microsteps": {16: "HH"}}, "MS1, MS2, MS3"),
         ({"enable_level": "on"}, "'low' or 'high'"),
         ({"chip": "acme"}, "package.module:Class"),
+        ({"microsteps": {}}, "at least one number of microsteps"),
     ],
 )
 def test_values_that_no_power_stage_has_are_refused(values, message):
@@ -127,6 +128,21 @@ def test_a_package_that_brings_a_bad_power_stage_is_named(tmp_path, monkeypatch,
     assert find_power_stage("a4988") is A4988
 
 
+def test_a_package_that_brings_a_power_stage_of_a_known_name_is_named(tmp_path):
+    (tmp_path / "shadow.py").write_text(GOOD)
+    info = tmp_path / "shadow-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: shadow\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[pulsestage.power_stages]\na4988 = shadow:ACME100\n")
+    command = [sys.executable, "-m", "stage", "move", "x", "100", "--chips", "stepdir", "--drive", "a4988"]
+    done = subprocess.run(command, env={"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (
+        "PulseStage: a4988 is one of PulseStage's own power stages, and stays it, though package shadow 1.0"
+        in done.stderr
+    )
+
+
 WITH_REGISTERS = """
 from dataclasses import replace
 from stage.chips import STEPDIR
@@ -140,7 +156,7 @@ ACME100 = replace(
 
 
 def test_a_power_stage_with_registers_brings_the_chip_of_its_axes(tmp_path, monkeypatch):
-    install(tmp_path, WITH_REGISTERS, "acme_registers")
+    install(monkeypatch, tmp_path, WITH_REGISTERS, "acme_registers")
     monkeypatch.syspath_prepend(tmp_path)
     stage = Stage("xy", chips="stepdir", drives={"x": "acme100", "y": "a4988"}, visuals=False)
     assert [type(axis.chip).__name__ for axis in stage.axes.values()] == ["AcmeAxis", "STEPDIR"]

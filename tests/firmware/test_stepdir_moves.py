@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stage import Drive, Stage, firmware
-from stage.errors import ArgumentError, StageError
+from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.firmware.driver import Speeds, get_driver
 from stage.testing import assert_no_lost_steps
 from stage.testing.assertions import read_pulse_rate
@@ -42,6 +42,23 @@ def test_the_duration_of_a_move_ends_with_its_profile(stage):
     assert report.rates[-1] == 0
     home = firmware.home(stage.axes["x"])
     assert home.rates[-1] == 0
+
+
+def test_a_power_stage_that_is_disabled_is_named_as_the_cause():
+    stage = Stage("xyz", chips="stepdir", drives="drv8825", visuals=False)
+    x = stage.axes["x"]
+    x.chip.pins.enable = False
+    assert "the motor has no current: ENABLE is not asserted" in str(firmware.move(x, pulses=100))
+    with pytest.raises(RunTimeout, match="The motor of x has no current: ENABLE is not asserted"):
+        firmware.home(x, timeout=0.5)
+    firmware.stop(x, at_once=True)
+    x.chip.pins.enable = True
+    assert "current" not in str(firmware.move(x, pulses=100))
+
+
+def test_a_return_to_an_index_pulse_that_no_axis_has_is_refused(stage):
+    with pytest.raises(ArgumentError, match="a STEPDIR ends at ORG, index=0; it has no input for index pulses"):
+        firmware.home(stage.axes["x"], index=1)
 
 
 def test_a_step_of_a_host_after_a_move_shows_a_rate_again(stage):

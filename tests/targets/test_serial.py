@@ -457,7 +457,12 @@ def test_a_port_in_use_is_one_sentence():
     first.close()
 
 
-@pytest.mark.parametrize("text", ["usb", "pty:", "tcp:", "tcp:x", "tcp:65536"])
+def test_a_port_that_tcp_does_not_have_is_refused_with_the_ports_that_it_has():
+    with pytest.raises(ArgumentError, match=r"--serial 'tcp:65536': TCP ports are 1 to 65535, or 0 for a free one"):
+        open_end("tcp:65536")
+
+
+@pytest.mark.parametrize("text", ["usb", "pty:", "tcp:", "tcp:x"])
 def test_an_end_that_does_not_exist_is_refused(text):
     with pytest.raises(ArgumentError, match=r"is no end of a serial line. Write pty, pty:LINK .* or tcp:PORT"):
         open_end(text)
