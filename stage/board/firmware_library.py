@@ -21,7 +21,7 @@ import numpy as np
 from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
-from stage.board.firmware_pins import PIN_USE, find_firmware_wiring_findings, make_line_table
+from stage.board.firmware_pins import PIN_USE, check_board_pins, find_firmware_wiring_findings, make_line_table
 from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
@@ -505,6 +505,9 @@ class Library:
                 f"{self.path} has no pins for --pins {self._lines[0]}: it was built with an older pulsestage.h. Build it again: "
                 f"{format_build_command(self.path)}"
             ) from None
+        if hasattr(self._library, "pulsestage_board_pins"):  # a sketch for an Arduino
+            board_pins = (ctypes.c_uint8 * 71).in_dll(self._library, "pulsestage_board_pins")
+            check_board_pins(self._lines, board_pins[1 : 1 + board_pins[0]])
         if any("step" in chip.INPUTS for chip in self._link.stage.chips):
             table[0], table[1] = self._table.ctypes.data, len(self._table)
         self._pin_use = np.ctypeslib.as_array(use).view(PIN_USE)

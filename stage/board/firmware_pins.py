@@ -58,6 +58,33 @@ def _parse_pin(line: PinLine) -> tuple[int, bool]:
     )
 
 
+def check_board_pins(lines: Sequence[PinLine], board_pins: Sequence[int]) -> None:
+    """Check that the Arduino of a sketch has the pins of the lines.
+
+    Args:
+        lines: The lines.
+        board_pins: For each number of a pin its bit of the ports; port A's bit 0 is 0.
+
+    Raises:
+        ArgumentError: The board has no such pin.
+    """
+    for line in lines:
+        pin, is_number = _parse_pin(line)
+        if pin < len(board_pins) if is_number else pin in board_pins:
+            continue
+        board = "Arduino Uno" if len(board_pins) == 20 else "Arduino Mega 2560"
+        analog = re.fullmatch(r"A([0-5])", line.pin.upper())
+        hint = ""
+        if analog and len(board_pins) == 20:
+            bit = int(analog[1])
+            hint = f" {line.pin} is bit {bit} of port A; the analog input of this name is C{bit} or {14 + bit}."
+        ports = sorted({PORTS[place // 8] for place in board_pins})
+        raise ArgumentError(
+            f"--pins {line}: the {board} has no pin {line.pin}; its pins are 0 to {len(board_pins) - 1}, which are bits of "
+            f"the ports {', '.join(ports)}.{hint}"
+        )
+
+
 def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
     """Return the LINE records of the lines, sorted by chip."""
     table = np.zeros(len(lines), LINE)

@@ -8,6 +8,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, NativeHost
+from stage.errors import ArgumentError
 
 pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="there is no c++")
 ACCELSTEPPER = os.environ.get("PULSESTAGE_ACCELSTEPPER", "")
@@ -199,6 +200,33 @@ def test_a_direction_pin_that_a_sketch_leaves_an_input_is_reported(run):
     )
     host = run(body.format("", "pinMode(5, OUTPUT);"), "x.step=2,x.dir=5")
     assert host.wiring_findings == (), "it was an output in the end"
+
+
+MEGA = ("-DARDUINO_AVR_MEGA2560",)
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+@pytest.mark.parametrize(
+    ("pin", "flags", "message"),
+    [
+        ("A0", (), r"--pins x\.limit=!A0: the Arduino Uno has no pin A0; its pins are 0 to 19, which are bits of the ports B, C, "
+         r"D\. A0 is bit 0 of port A; the analog input of this name is C0 or 14\."),
+        ("54", (), "the Arduino Uno has no pin 54"),
+        ("C6", (), "the Arduino Uno has no pin C6"),
+        ("200", MEGA, "the Arduino Mega 2560 has no pin 200; its pins are 0 to 69"),
+        ("M0", MEGA, "the Arduino Mega 2560 has no pin M0"),
+    ],
+)  # fmt: skip
+def test_a_pin_that_the_board_of_a_sketch_lacks_is_refused(run, pin, flags, message, isolated):
+    with pytest.raises(ArgumentError, match=message):
+        run("void setup() {}", f"x.step=2,x.limit=!{pin}", flags=flags, isolated=isolated)
+
+
+@pytest.mark.parametrize(("pins", "flags"), [("14", ()), ("C0", ()), ("54", MEGA), ("F0", MEGA)])
+def test_an_analog_input_reads_a_switch(run, pins, flags):
+    sketch = "void setup() { pinMode(2, OUTPUT); while (digitalRead(A0) == HIGH) step(2, 1); }"
+    host = run(sketch, f"x.step=2,x.dir=none,x.limit=!{pins}", flags=flags, x=0.1495)
+    assert host.board.stage.axes["x"].switches.el_plus
 
 
 def test_a_sketch_without_pins_names_the_option(run):
