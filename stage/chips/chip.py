@@ -109,6 +109,8 @@ class Pins:
         if name not in self._inputs:
             kind = "is an output and cannot be driven" if name in self._outputs else "is not a pin"
             raise UnknownAttribute(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(self._inputs)}.")
+        if value not in (False, True):  # a text such as "no" would count as asserted
+            raise ArgumentError(f"pins.{name} = {value!r}: a pin is asserted or not; give True or False.")
         with exclusively(chip):
             word = chip.input_word(self._axis)
             bit = self._inputs[name]

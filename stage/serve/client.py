@@ -33,6 +33,8 @@ ENTRY = struct.Struct("<iiiIqq")
 """A request of a BATCH: what, times, every (us), mask, a (port, us), b (value)."""
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE, SPEND, IN32, OUT32 = 0, 1, 2, 3, 4, 5, 8, 12, 13, 14
 SET_LINES, READ_LINES, WATCH_LINES = 21, 22, 26
+DRIVEN_LINES = ("step", "dir", "enable")
+"""Lines of a STEP/DIR axis that a host drives. The server refuses the others in SET_LINES."""
 LINES_SHIFT = 32
 """SET_LINES: b is the mask of lines, shifted left by so many bits, and their levels."""
 WITH_CYCLE = 1 << 32
@@ -223,9 +225,14 @@ class _Requests(Generic[_W, _R]):
             **levels: Whether each named line is asserted: step=True, dir=False, enable=True.
 
         Raises:
-            ValueError: The server's board has no such axis or line.
+            ValueError: The server's board has no such axis or line, a host can only read the line, or a level is no bool.
         """
         chip, bits = self.find_lines(axis, levels)
+        for line, level in levels.items():
+            if line not in DRIVEN_LINES:
+                raise ValueError(f"{line!r} can only be read; a host drives {', '.join(DRIVEN_LINES)}.")
+            if level not in (False, True):  # a text such as "low" would count as asserted
+                raise ValueError(f"{line} = {level!r}: a line is asserted or not; give True or False.")
         asserted = _combine_bits(bit for bit, level in zip(bits, levels.values(), strict=True) if level)
         return self._request_write(SET_LINES, chip | WITH_CYCLE, _combine_bits(bits) << LINES_SHIFT | asserted)
 

@@ -280,7 +280,8 @@ def _describe_wrong_entry(entry: Any) -> str:
         return f"{what} is no request; those of a batch are {', '.join(f'{n} {name}' for n, name in names.items())}"
     a, b, name = int(entry["a"]), int(entry["b"]), names[what]
     if what in (client.SET_LINES, client.READ_LINES, client.WATCH_LINES):
-        return f"{name} at chip {a & ~client.WITH_CYCLE}, b = {b}; the text of HELLO has the chips, and b is 0 or more"
+        lines = ", with lines step, dir and enable only" if what == client.SET_LINES else ""
+        return f"{name} at chip {a & ~client.WITH_CYCLE}, b = {b}; the text of HELLO has the chips, and b is 0 or more{lines}"
     if what in (client.DELAY, client.UNTIL_LINE):
         return f"{name} {a} us; there are 0 to 1e15 us"
     if what == client.SPEND:

@@ -11,6 +11,7 @@ from stage.chips import STEPDIR
 from stage.chips.stepdir import state
 from stage.drives.motors import Drive
 from stage.drives.power_stages import PowerStage
+from stage.errors import ArgumentError
 
 SECOND = 10**9
 SLOW = PowerStage(
@@ -346,3 +347,12 @@ def test_a_diagnostic_reports_the_minimum_time_and_the_first_violation():
     (d,) = axis.diagnostics
     assert d.message.startswith("STEP was high for 0.7 us; the Texas Instruments DRV8825 needs 1.9 us")
     assert d.clock == 1_700
+
+
+@pytest.mark.parametrize(("pin", "level"), [("step", "no"), ("probe", "no"), ("dir", None), ("enable", 2)])
+def test_a_pin_takes_true_or_false_only(pin, level):
+    axis = STEPDIR()
+    before = axis.state.tobytes()
+    with pytest.raises(ArgumentError, match=rf"pins\.{pin} = .*: a pin is asserted or not; give True or False"):
+        setattr(axis.pins, pin, level)
+    assert axis.state.tobytes() == before

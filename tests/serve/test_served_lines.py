@@ -55,6 +55,26 @@ def test_lines_are_set_together_and_read_by_name(served):
         assert served.board.cycles == 8
 
 
+@pytest.mark.parametrize(
+    ("levels", "message"),
+    [
+        ({"limit_plus": True}, "'limit_plus' can only be read; a host drives step, dir, enable"),
+        ({"origin": False}, "'origin' can only be read"),
+        ({"step": "low"}, "step = 'low': a line is asserted or not; give True or False"),
+        ({"dir": 2}, "dir = 2: a line is asserted or not"),
+    ],
+)
+def test_lines_that_a_host_reads_and_levels_that_are_none_are_refused(served, levels, message):
+    with served.host() as host:
+        with pytest.raises(ValueError, match=message):
+            host.set_lines("x", **levels)
+        chip, (bit,) = host.find_lines("x", ["limit_plus"])
+        batch = host.batch().set_lines("x", step=True).add(frames.SET_LINES, chip, bit << frames.LINES_SHIFT | bit)
+        with pytest.raises(ServerError, match=r"entry 1: SET_LINES at chip 0, .* with lines step, dir and enable only"):
+            batch.run()
+        assert served.board.stage.axes["x"].chip.pins.as_dict() == make_stage().axes["x"].chip.pins.as_dict()
+
+
 def test_a_change_of_a_watched_line_calls_the_hook(served):
     times = []
     with served.host() as host:

@@ -11,6 +11,7 @@ import numpy as np
 
 from stage.board.bus import host_record, waiting
 from stage.board.bus.requests import execute
+from stage.chips.stepdir.state import DIR, ENABLE, STEP
 from stage.native import array_of, enter_usual_float_mode, exported, hot, record, restore_previous_float_mode
 
 SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
@@ -22,11 +23,16 @@ ENTRY = record([*((name, "i4") for name in ("what", "times", "every", "mask")), 
 """Request in a batch. what: IN8, ..., UNTIL8, ...; a: port, or time in us; b: value that is written or awaited; times,
 every, mask: for UNTIL8 and UNTIL16 only, the mask as 32 unsigned bits."""
 
+DRIVEN_LINES = STEP | DIR | ENABLE
+"""Lines of a STEP/DIR axis that a host may drive; the stage drives the others."""
+
 
 @hot
 def _is_invalid(entry, n_chips):
     """Return whether an entry has an unknown request code or an operand out of range."""
     code = entry.what
+    if code == host_record.SET_LINES and entry.b >> host_record.LINES_SHIFT & ~DRIVEN_LINES:
+        return True
     if code in (host_record.SET_LINES, host_record.READ_LINES, host_record.WATCH_LINES):
         return not 0 <= entry.a & ~host_record.WITH_CYCLE < n_chips or entry.b < 0
     if code in (host_record.MICROS, host_record.LINE):
