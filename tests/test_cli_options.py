@@ -280,6 +280,16 @@ def test_what_is_typed_twice_or_is_nothing_is_refused(capsys, typed, message):
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("command", "default"), [("run", "PCL240K"), ("serve", "PCL240K"), ("replay", "stepdir")])
+def test_the_help_of_chips_lists_step_dir_axes_and_the_default_of_the_command(capsys, command, default):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(
+        rf"chip of every axis: PCL240K, .* HCTL1100, STEPDIR; .*x=CHIP,y=CHIP \(default: {default}\)", text
+    )
+
+
 def test_a_report_of_mistakes_has_the_first_of_each_kind_and_strays_by_their_times(capsys):
     diagnostics = [
         Diagnostic(clock, 0, 0x11, text, "page") for clock, text in ((5, "a"), (7, "b"), (9, "a"), (11, "a"))

@@ -11,7 +11,7 @@ from typing import Any
 from stage.units import OTHER_FACTORS, explain_number_error, identify_unit, parse_quantity
 
 PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
-CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100")
+CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100", "STEPDIR")
 
 
 # --- types of values ---
@@ -132,7 +132,7 @@ def format_model_help() -> str:
 def add_stage_options(group: Any, chips: Sequence[str] = CHIPS) -> None:
     """Add the options that describe a stage, except its model."""
     others = "; or one of another package, see `stage chips`; or x=CHIP,y=CHIP" if chips is CHIPS else ""
-    choices = f"chip of every axis: {', '.join(chips)}{others} (default: {chips[0]})"
+    choices = f"chip of every axis: {', '.join(chips)}{others} (default: %(default)s)"
     group.add_argument("--chips", default=chips[0], help=choices).known = chips
     group.add_argument("--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401)")
     group.add_argument(
