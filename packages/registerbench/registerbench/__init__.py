@@ -7,7 +7,7 @@
     print(registerbench.verify("random.bench"))                   plays the actions again, without the policy
 
 benchmark_tasks.py holds the tasks and their test episodes, policies.py the kinds of policies, entry_files.py the file format.
-episode_sequence.py plays episodes, entry_replay.py repeats and compares them, and score_statistics.py decides whether one
+entry_creation.py plays episodes, entry_replay.py repeats and compares them, and score_statistics.py decides whether one
 method beats another. arena/ measures agents, diagnosis/ has broken set-ups, and baselines/ made the published results.
 """
 
@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from registerbench.benchmark_tasks import CARDS, Card, list_test_seeds
+    from registerbench.entry_creation import play
     from registerbench.entry_files import Entry, read_entries, read_entry
     from registerbench.entry_replay import Verdict, verify
-    from registerbench.episode_sequence import play
 
 _MODULES = {
     "CARDS": "benchmark_tasks", "Card": "benchmark_tasks", "list_test_seeds": "benchmark_tasks",
     "Entry": "entry_files", "read_entry": "entry_files", "read_entries": "entry_files",
-    "play": "episode_sequence", "Verdict": "entry_replay", "verify": "entry_replay",
+    "play": "entry_creation", "Verdict": "entry_replay", "verify": "entry_replay",
 }  # fmt: skip
 __all__ = ["CARDS", "Card", "Entry", "Verdict", "list_test_seeds", "play", "read_entries", "read_entry", "verify"]
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from registerbench.benchmark_tasks import Card, find_card, list_test_seeds
+from registerbench.entry_creation import digest_observation, score_episode
 from registerbench.entry_files import Entry, EntryError, read_entry
-from registerbench.episode_sequence import digest_observation, score_episode
 from registerbench.package_versions import describe_environment, list_versions
 from stage.envs.stage_env import info_of
 from stage.errors import ArgumentError

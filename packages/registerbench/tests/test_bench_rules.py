@@ -9,8 +9,8 @@ import pytest
 
 from registerbench import score_statistics
 from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, SEED_LIMIT, find_card, list_test_seeds
+from registerbench.entry_creation import digest_observation, score_episode
 from registerbench.entry_replay import Difference, Verdict, _is_earlier, _Replay
-from registerbench.episode_sequence import digest_observation, score_episode
 from stage import ArgumentError
 
 

@@ -3,9 +3,9 @@
 import pytest
 
 import registerbench
-from registerbench import episode_sequence
+from registerbench import entry_creation
 from registerbench.benchmark_tasks import CARDS, Card
-from registerbench.episode_sequence import EpisodeSequence
+from registerbench.entry_creation import EpisodeSequence
 from stage.envs.stage_env import StageEnv
 
 BRIEF = Card(
@@ -44,12 +44,12 @@ def test_a_play_closes_its_environment_after_its_end_and_after_an_error(closed):
 
 
 def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_requested(monkeypatch):
-    requested, rounds, real, drawn = [], [], episode_sequence.make_player, episode_sequence.list_test_seeds
+    requested, rounds, real, drawn = [], [], entry_creation.make_player, entry_creation.list_test_seeds
     monkeypatch.setattr(
-        episode_sequence, "make_player", lambda *arguments: (requested.append(arguments), real(*arguments))[1]
+        entry_creation, "make_player", lambda *arguments: (requested.append(arguments), real(*arguments))[1]
     )
     monkeypatch.setattr(
-        episode_sequence, "list_test_seeds", lambda *arguments: (rounds.append(arguments[1:]), drawn(*arguments))[1]
+        entry_creation, "list_test_seeds", lambda *arguments: (rounds.append(arguments[1:]), drawn(*arguments))[1]
     )
     created = registerbench.play(
         "random", "brief", "heavy", run=6, round_="2031", episodes=1, name="dice", notes="n", cost={"moves": 4}

@@ -12,8 +12,8 @@ from typing import Any
 from registerbench.arena.tool_actions import make_tool_actions
 from registerbench.benchmark_tasks import CARDS, OPEN_ROUND
 from registerbench.diagnosis import SETUPS, Case
+from registerbench.entry_creation import EpisodeSequence
 from registerbench.entry_files import Entry
-from registerbench.episode_sequence import EpisodeSequence
 from stage.agents import Tool
 from stage.agents.tool import ToolSet
 from stage.agents.tool_arguments import choose

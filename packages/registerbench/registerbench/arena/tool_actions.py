@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from registerbench.episode_sequence import EpisodeSequence
+from registerbench.entry_creation import EpisodeSequence
 from stage.agents.tool_arguments import Flag, argument, choice, integer, list_of, number
 from stage.envs import drifting_home, few_shot
 from stage.errors import ArgumentError

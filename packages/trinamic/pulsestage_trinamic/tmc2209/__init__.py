@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
-from pulsestage_trinamic.tmc2209 import core, driver, lint, maps
+from pulsestage_trinamic.tmc2209 import core, lint, maps, power_stage
 from pulsestage_trinamic.tmc2209.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc2209.maps import MAP
 from pulsestage_trinamic.tmc2209.state import MS1, MS2
@@ -89,7 +89,7 @@ class TMC2209(STEPDIR):
         if levels and drive.power_stage.chip:
             word = int(c["inputs"]) & ~(MS1 | MS2)
             c["inputs"] = word | (MS1 if levels[0] == "H" else 0) | (MS2 if levels[1] == "H" else 0)
-        full_scale = driver.FULL_SCALE_V / (self.rsense + driver.INTERNAL_OHM)
+        full_scale = power_stage.FULL_SCALE_V / (self.rsense + power_stage.INTERNAL_OHM)
         c["vref"] = min(1.0, drive.amplitude / full_scale)
         c["ir_share"] = drive.motor.resistance / drive.bus_voltage
 

@@ -7,7 +7,7 @@ FFh the registers of the chip, for hosts that do not simulate the UART.
 from __future__ import annotations
 
 from pulsestage_trinamic import field, load_measurement
-from pulsestage_trinamic.tmc2209 import driver, maps, registers, state, uart
+from pulsestage_trinamic.tmc2209 import maps, power_stage, registers, state, uart
 from pulsestage_trinamic.tmc2209.state import INPUTS, OUTPUTS, STATE
 from stage.chips.core_interface import SCAN_ROOM, run_slices
 from stage.chips.stepdir import step_timer
@@ -23,7 +23,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 def _find_next_event(c):
     """Return the clock of the next event of the step timer, the chip or its UART, or NEVER."""
     at = least(step_timer.find_next_event(c), uart.find_next_event(c))
-    return least(at, least(c.next_step, driver.find_next_timer_clock(c)))
+    return least(at, least(c.next_step, power_stage.find_next_timer_clock(c)))
 
 
 @hot
@@ -41,9 +41,9 @@ def _advance_to_event(c, until):
     elif uart.find_next_event(c) <= at:
         uart.process_event(c)
     elif c.next_step <= at:
-        driver.make_internal_step(c)
+        power_stage.make_internal_step(c)
     else:
-        driver.process_timers(c)
+        power_stage.process_timers(c)
     return True
 
 
@@ -52,7 +52,7 @@ def _follow_lines(c, before):
     """Let the chip follow the lines after their levels have changed from `before`."""
     if before & ~c.inputs & STEP and c.registers[state.CHOPCONF] & state.DEDGE:
         count_step(c, True)
-    driver.follow_steps(c)
+    power_stage.follow_steps(c)
 
 
 @exported(None, STATE, "i8")
@@ -109,7 +109,13 @@ def scan_edges(c, until, every_pulse, axis_index, edges):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(c, row_address, first_slice):
-    """Run the slices of a physics step."""
+    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
+
+    Args:
+        c: State of the chip.
+        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
+        first_slice: First slice to run, from 0; a slice is an eighth of a window.
+    """
     run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
@@ -174,7 +180,7 @@ def get_register_value(c, address):
 @exported("i8", STATE)
 def get_step_places(c):
     """Return by how many 1/256 full steps a step moves the field."""
-    return 1 << driver.read_step_shift(c)
+    return 1 << power_stage.read_step_shift(c)
 
 
 @exported(None, STATE, "i8", "i8")
@@ -186,8 +192,8 @@ def set_input(c, axis_index, word):
     step_timer.stop_at_switches(c, word & ~before)
     if (word ^ before) & ~STEP:
         if (word ^ before) & state.PDN:
-            driver.apply_current_registers(c)
-        driver.latch_faults(c)
+            power_stage.apply_current_registers(c)
+        power_stage.latch_faults(c)
 
 
 @exported("i8", STATE, "i8")
@@ -229,7 +235,7 @@ def read_counter(c, axis_index):
 @exported("f8", STATE, "i8", "f8")
 def compute_pulse_rate(c, axis_index, hz):
     """Return the rate at which the count changes now, per second of a clock of `hz`."""
-    per_step = float(1 << driver.read_step_shift(c)) / c.unit
+    per_step = float(1 << power_stage.read_step_shift(c)) / c.unit
     if c.registers[state.GCONF] & state.SHAFT:
         per_step = -per_step
     value = c.registers[state.VACTUAL]
@@ -242,7 +248,7 @@ def compute_pulse_rate(c, axis_index, hz):
 @exported("f8", STATE, "i8")
 def read_motor_current(c, axis_index):
     """Return the amplitude of the phase currents, A."""
-    return driver.compute_current_amplitude(c)
+    return power_stage.compute_current_amplitude(c)
 
 
 @exported("i8", STATE, "i8", "f8", "f8")
@@ -255,7 +261,7 @@ def set_load(c, axis_index, angle, emf):
         angle: Electrical radians by which the count of `read_net_count`, a whole number, leads the rotor.
         emf: Back EMF as a share of the supply.
     """
-    if not driver.is_measuring(c) or c.period == 0:
+    if not power_stage.is_measuring(c) or c.period == 0:
         return 0
     lam = load_measurement.compute_load(field.correct_load_angle(c, angle), c.direction)
     load_measurement.add_load_sample(c, lam, int(1024.0 * least(emf, 1.0) + 0.5))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc2209 import driver, maps, state
+from pulsestage_trinamic.tmc2209 import maps, power_stage, state
 from pulsestage_trinamic.tmc5160.sequencer import get_table_current
 from stage.chips.stepdir.state import DIR, ENABLE, STEP
 from stage.native import hot, least
@@ -19,11 +19,11 @@ def clear(c):
     c.followed = c.net
     c.mscnt = c.period = c.full = c.toggle = c.velocity_steps = 0
     c.direction, c.stepped, c.velocity_since, c.next_step = 1, c.clock, c.clock, state.NEVER
-    c.current, c.cs, c.falls = state.RUNS, driver.read_irun(c), state.NEVER
+    c.current, c.cs, c.falls = state.RUNS, power_stage.read_irun(c), state.NEVER
     c.passed = c.sg = c.stall = c.count = c.cooling = 0
     c.lam, c.emf, c.load_of, c.load_n, c.load_sum, c.emf_sum = 0, 1024, -1, 0, 0, 0
     c.gstat, c.shorts, c.hot, c.ifcnt = 1, 0, 0, 0
-    driver.latch_faults(c)
+    power_stage.latch_faults(c)
 
 
 @hot
@@ -39,7 +39,7 @@ def compute_index_pin(c):
         return c.toggle
     if c.registers[state.GCONF] & state.INDEX_OTPW:
         return c.inputs & state.OTPW
-    return c.mscnt < 1 << driver.read_step_shift(c)
+    return c.mscnt < 1 << power_stage.read_step_shift(c)
 
 
 @hot
@@ -64,16 +64,16 @@ def _compute_drv_status(c):
     word |= (1 << 4 if c.shorts & state.S2VSA else 0) | (1 << 5 if c.shorts & state.S2VSB else 0)
     word |= (1 << 6 if c.inputs & state.OLA else 0) | (1 << 7 if c.inputs & state.OLB else 0)
     word |= (1 << 8 if c.inputs & state.OTPW else 0) | (1 << 10 if c.inputs & state.OT else 0)
-    word |= c.cs << 16 | (1 << 30 if driver.is_stealth_chop_active(c) else 0)
-    return word | (1 << 31 if c.clock >= driver.compute_standstill_clock(c) else 0)
+    word |= c.cs << 16 | (1 << 30 if power_stage.is_stealth_chop_active(c) else 0)
+    return word | (1 << 31 if c.clock >= power_stage.compute_standstill_clock(c) else 0)
 
 
 @hot
 def _compute_pwm_scale(c):
     """Return PWM_SCALE: the duty cycle by the voltage that current and back EMF need."""
-    if not driver.is_measuring(c):
+    if not power_stage.is_measuring(c):
         return 0
-    share = driver.compute_current_amplitude(c) * c.ir_share + (c.emf / 1024.0 if c.period else 0.0)
+    share = power_stage.compute_current_amplitude(c) * c.ir_share + (c.emf / 1024.0 if c.period else 0.0)
     return int(FULL_DUTY * least(1.0, share))
 
 
@@ -87,7 +87,7 @@ def get_register_value(c, register):
     if register == state.IOIN:
         return _compute_ioin(c)
     if register == state.TSTEP:
-        return driver.compute_tstep(c)
+        return power_stage.compute_tstep(c)
     if register == state.SG_RESULT:
         return c.sg
     if register == state.MSCNT:
@@ -116,12 +116,12 @@ def write_register(c, register, value):
     value &= maps.STORED_BITS[register]
     if register == state.GSTAT:
         c.gstat &= ~value
-        driver.latch_faults(c)
+        power_stage.latch_faults(c)
         return
     c.registers[register] = value
     if register == state.VACTUAL:
-        driver.start_internal_steps(c, value)
+        power_stage.start_internal_steps(c, value)
     elif register in (state.IHOLD_IRUN, state.GCONF):
-        driver.apply_current_registers(c)
-    driver.latch_faults(c)
-    driver.update_thresholds(c)
+        power_stage.apply_current_registers(c)
+    power_stage.latch_faults(c)
+    power_stage.update_thresholds(c)

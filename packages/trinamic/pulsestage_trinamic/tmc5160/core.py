@@ -84,7 +84,7 @@ def _count_steps(c, speed_change, clocks):
 
 
 @hot
-def _has_only_steps(c, test, speed_change, clocks, step_limit, thresholds):
+def _has_only_steps(c, plan_kind, speed_change, clocks, step_limit, thresholds):
     """Return whether nothing but steps happens within the next clocks: fewer than `step_limit`, and no threshold is passed."""
     if _count_steps(c, speed_change, clocks) >= step_limit:
         return False
@@ -94,8 +94,8 @@ def _has_only_steps(c, test, speed_change, clocks, step_limit, thresholds):
         and speed_thresholds.find_passed_thresholds(c, c.q + speed_change * clocks) != c.speeds
     ):
         return False
-    past_steps = 0 if test == ramp.CALM else _count_steps(c, speed_change, clocks - 1)
-    return ramp.is_plan_valid(c, test, speed_change, clocks, past_steps)
+    steps_before_last_clock = 0 if plan_kind == ramp.UNINTERRUPTED else _count_steps(c, speed_change, clocks - 1)
+    return ramp.is_plan_valid(c, plan_kind, speed_change, clocks, steps_before_last_clock)
 
 
 @hot
@@ -146,18 +146,18 @@ def _skip_uneventful_clocks(c, until, stop_flags):
             return 0
         c.clock += clocks
         return clocks
-    test, speed_change, max_steps = ramp.plan_even_stretch(c)
-    if test == ramp.CANNOT or max_steps == 0:
+    plan_kind, speed_change, max_steps = ramp.plan_even_stretch(c)
+    if plan_kind == ramp.SINGLE_CLOCK or max_steps == 0:
         return 0
     clocks = least(clocks, max_steps)
     clocks = least(clocks, MAX_RAMP_CLOCKS) if speed_change or c.q == 0 else least(clocks, ((1 << 61) - c.ph) // c.q)
     step_limit = _find_eventful_step(c, stop_flags)
     thresholds = c.reg[state.TPWMTHRS] | c.reg[state.TCOOLTHRS] | c.reg[state.THIGH]
-    if not _has_only_steps(c, test, speed_change, clocks, step_limit, thresholds):
+    if not _has_only_steps(c, plan_kind, speed_change, clocks, step_limit, thresholds):
         low = 0
         while clocks - low > 1:
             middle = (low + clocks) >> 1
-            if _has_only_steps(c, test, speed_change, middle, step_limit, thresholds):
+            if _has_only_steps(c, plan_kind, speed_change, middle, step_limit, thresholds):
                 low = middle
             else:
                 clocks = middle
@@ -209,9 +209,15 @@ def run(c, until):
 
 
 @exported(None, STATE, "i8", "i8")
-def run_window(c, row, k):
-    """Compute the slices of a window."""
-    run_slices(c, row, k, run, read_net_count, compute_drive_input)
+def run_window(c, row_address, first_slice):
+    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
+
+    Args:
+        c: State of the chip.
+        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
+        first_slice: First slice to run, from 0; a slice is an eighth of a window.
+    """
+    run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")

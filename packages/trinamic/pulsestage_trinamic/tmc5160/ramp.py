@@ -15,9 +15,13 @@ from __future__ import annotations
 from pulsestage_trinamic.tmc5160 import state
 from stage.native import greatest, hot, least
 
-CANNOT, CALM, FALLING, SLOWING = range(4)
-"""Kinds of plans: CANNOT, the next clock must be processed by itself; CALM, nothing ends the stretch early; FALLING, the braking
-distance ends it, which only grows; SLOWING, the braking distance may end it after each step."""
+SINGLE_CLOCK, UNINTERRUPTED, BRAKES_AT_END, BRAKES_AT_ANY_STEP = range(4)
+"""Kinds of plans for a stretch of clocks with the same change of speed.
+
+SINGLE_CLOCK: there is no stretch, the next clock must be processed by itself. UNINTERRUPTED: nothing ends the stretch early.
+BRAKES_AT_END: the braking distance, which only grows, may end the stretch. BRAKES_AT_ANY_STEP: the braking distance may end the
+stretch after each step.
+"""
 
 
 @hot
@@ -243,37 +247,37 @@ def _update_positioning(c, direction, is_first_clock):
 def plan_even_stretch(c):
     """Plan the next clocks of a moving axis in which its speed changes evenly.
 
-    Returns (kind of plan, see CANNOT; change of speed at each clock; number of clocks).
+    Returns (kind of plan, see SINGLE_CLOCK; change of speed at each clock; number of clocks).
     """
     q, mode = c.q, c.reg[state.RAMPMODE]
     if is_stopped_by_stall(c):
-        return CANNOT, 0, 0
+        return SINGLE_CLOCK, 0, 0
     if is_stop_switch_active(c, c.dir):
         if not c.reg[state.SW_MODE] & state.SOFT_STOP or q <= get_vstop_speed(c):
-            return CANNOT, 0, 0
+            return SINGLE_CLOCK, 0, 0
         return _plan_braking(c, q)
     s = find_requested_direction(c)
     if mode == state.POSITION:
         if c.dir != s:
-            return (CANNOT, 0, 0) if q <= get_vstop_speed(c) or not c.brk else _plan_braking(c, q)
+            return (SINGLE_CLOCK, 0, 0) if q <= get_vstop_speed(c) or not c.brk else _plan_braking(c, q)
         return _plan_braking(c, q) if c.brk else _plan_before_braking(c, q)
     if mode != state.PLUS and mode != state.MINUS:
-        return CALM, 0, state.NEVER
+        return UNINTERRUPTED, 0, state.NEVER
     a, g = c.reg[state.AMAX], _get_vmax_speed(c)
     if a == 0 or (c.dir == s and q == g):
-        return CALM, 0, state.NEVER
+        return UNINTERRUPTED, 0, state.NEVER
     if c.dir != s or (q > g and g == 0):
-        return CALM, -a, (q - 1) // a
-    return (CALM, a, (g - q) // a) if q < g else (CALM, -a, (q - g) // a)
+        return UNINTERRUPTED, -a, (q - 1) // a
+    return (UNINTERRUPTED, a, (g - q) // a) if q < g else (UNINTERRUPTED, -a, (q - g) // a)
 
 
 @hot
 def _plan_braking(c, q):
     """Plan the clocks in which the axis brakes, at the end of a positioning or at a switch."""
     if q <= get_vstop_speed(c):
-        return CALM, 0, state.NEVER
+        return UNINTERRUPTED, 0, state.NEVER
     rate = _get_braking_deceleration(c, q)
-    return CALM, -rate, (q - _get_braking_end_speed(c, q)) // rate
+    return UNINTERRUPTED, -rate, (q - _get_braking_end_speed(c, q)) // rate
 
 
 @hot
@@ -285,23 +289,31 @@ def _plan_before_braking(c, q):
         if rate == 0 or _is_too_short_to_brake(
             c, abs(compute_distance_to_target(c)), _compute_next_speed_to_vmax(c, q)
         ):
-            return FALLING, 0, state.NEVER
+            return BRAKES_AT_END, 0, state.NEVER
         top = least(g, corner) if corner and q < corner else g
-        return FALLING, rate, (top - q) // rate
+        return BRAKES_AT_END, rate, (top - q) // rate
     if q > g:
         rate = _get_deceleration_to_vmax(c, q)
         if rate == 0:
-            return FALLING, 0, state.NEVER
+            return BRAKES_AT_END, 0, state.NEVER
         floor = greatest(g, corner) if corner and q > corner else g
         clocks = (q - greatest(floor, 1)) // rate
-        return (CALM if rate >= _get_braking_deceleration(c, q) else SLOWING), -rate, clocks
-    return FALLING, 0, state.NEVER
+        return (UNINTERRUPTED if rate >= _get_braking_deceleration(c, q) else BRAKES_AT_ANY_STEP), -rate, clocks
+    return BRAKES_AT_END, 0, state.NEVER
 
 
 @hot
-def is_plan_valid(c, test, speed_change, clocks, past_steps):
-    """Return whether a plan applies to all of these clocks; `past_steps` are the steps in all of them but the last."""
-    if test == CALM:
+def is_plan_valid(c, plan_kind, speed_change, clocks, steps_before_last_clock):
+    """Return whether a plan applies to all of its clocks.
+
+    Args:
+        c: State of the chip.
+        plan_kind: UNINTERRUPTED, BRAKES_AT_END or BRAKES_AT_ANY_STEP.
+        speed_change: Change of the speed q in each clock.
+        clocks: Number of clocks.
+        steps_before_last_clock: Steps in all clocks but the last.
+    """
+    if plan_kind == UNINTERRUPTED:
         return True
-    n = abs(compute_distance_to_target(c)) - past_steps
-    return not _is_too_short_to_brake(c, n, c.q + speed_change * clocks if test == FALLING else c.q + speed_change)
+    n = abs(compute_distance_to_target(c)) - steps_before_last_clock
+    return not _is_too_short_to_brake(c, n, c.q + speed_change * (clocks if plan_kind == BRAKES_AT_END else 1))

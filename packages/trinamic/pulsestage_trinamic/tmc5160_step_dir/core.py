@@ -9,7 +9,7 @@ from pulsestage_trinamic import field, load_measurement
 from pulsestage_trinamic.tmc5160 import bus, power_stage, stallguard
 from pulsestage_trinamic.tmc5160 import maps as chip_maps
 from pulsestage_trinamic.tmc5160 import state as chip
-from pulsestage_trinamic.tmc5160_step_dir import driver, maps, state
+from pulsestage_trinamic.tmc5160_step_dir import maps, sequencer_connection, state
 from pulsestage_trinamic.tmc5160_step_dir.state import INPUTS, OUTPUTS, STATE
 from stage.chips.core_interface import SCAN_ROOM, run_slices
 from stage.chips.stepdir import step_timer
@@ -24,7 +24,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 @hot
 def _find_next_event(c):
     """Return the clock of the next event of the step timer or the chip, or NEVER."""
-    return least(step_timer.find_next_event(c), driver.find_next_timer(c))
+    return least(step_timer.find_next_event(c), sequencer_connection.find_next_timer(c))
 
 
 @hot
@@ -40,7 +40,7 @@ def _advance_to_event(c, until):
         step_timer.process_event(c)
         _follow_lines(c, before)
     else:
-        driver.process_timers(c)
+        sequencer_connection.process_timers(c)
     return True
 
 
@@ -49,7 +49,7 @@ def _follow_lines(c, before):
     """Let the chip follow the lines after their levels have changed from `before`."""
     if before & ~c.inputs & STEP and c.driver[0].reg[chip.CHOPCONF] & state.DEDGE:
         count_step(c, True)
-    driver.follow_steps(c)
+    sequencer_connection.follow_steps(c)
 
 
 @exported(None, STATE, "i8")
@@ -106,7 +106,13 @@ def scan_edges(c, until, every_pulse, axis_index, edges):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(c, row_address, first_slice):
-    """Run the slices of a physics step."""
+    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
+
+    Args:
+        c: State of the chip.
+        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
+        first_slice: First slice to run, from 0; a slice is an eighth of a window.
+    """
     run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
@@ -121,9 +127,9 @@ def power_up(c):
     """Clear step timer and chip; lines and switches stay as the host and the stage drive them."""
     step_timer.clear(c)
     c.followed = c.net
-    driver.update_clock(c)
+    sequencer_connection.update_clock(c)
     bus.power_up(c.driver[0])
-    driver.take_pins(c)
+    sequencer_connection.take_pins(c)
 
 
 @exported("i8", STATE, "i8")
@@ -131,7 +137,7 @@ def peek(c, address):
     """Return what a read would give."""
     if address >= maps.REGISTER_BASE:
         number = address - maps.REGISTER_BASE
-        return driver.get_register_value(c, number) if chip_maps.IS_READABLE[number] else 0
+        return sequencer_connection.get_register_value(c, number) if chip_maps.IS_READABLE[number] else 0
     if maps.SPI_BASE <= address < maps.SPI_BASE + maps.SPI_ADDRESSES:
         return bus.peek_address(c.driver[0], chip_maps.SPI_CS + address - maps.SPI_BASE)
     return step_timer.read_register(c, address) if address < len(c.reg) else 0
@@ -145,9 +151,9 @@ def read(c, address):
 
 @hot
 def _write_chip(c, address, value):
-    driver.take_pins(c)
+    sequencer_connection.take_pins(c)
     bus.write_address(c.driver[0], address, value)
-    driver.take_pins(c)
+    sequencer_connection.take_pins(c)
 
 
 @exported(None, STATE, "i8", "i8")
@@ -167,7 +173,7 @@ def write(c, address, value):
 def get_register_value(c, address):
     """Return the value that a register holds, also of one that cannot be read."""
     if address >= maps.REGISTER_BASE:
-        return driver.get_register_value(c, address - maps.REGISTER_BASE)
+        return sequencer_connection.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
 
 
@@ -185,13 +191,13 @@ def set_input(c, axis_index, word):
     _follow_lines(c, before)
     step_timer.stop_at_switches(c, word & ~before)
     if (word ^ before) & ~STEP:
-        driver.take_pins(c)
+        sequencer_connection.take_pins(c)
 
 
 @exported("i8", STATE, "i8")
 def read_inputs(c, axis_index):
     """Return the pins, with DIAG0 and DIAG1, which the host reads as it reads the switches."""
-    return driver.compute_input_word(c)
+    return sequencer_connection.compute_input_word(c)
 
 
 @exported("i8", STATE, "i8")
@@ -247,7 +253,7 @@ def set_load(c, axis_index, angle, emf):
     Args:
         c: State of the chip.
         axis_index: Axis, 0.
-        angle: Electrical radians by which the count of `read_net_count`, a whole number, leads the rotor.
+        angle: Electrical angle of the count less that of the rotor, rad. The count is the whole number of `read_net_count`.
         emf: Back EMF as a share of the supply.
     """
     d = c.driver[0]

@@ -69,10 +69,10 @@ def compute_features(task: str, observation: Mapping[str, Any]) -> np.ndarray:
 
 
 def compute_action(weights: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-    """Compute the action of the environment, (4,).
+    """Compute the environment's four actions, each -1 to 1: tanh(weights @ inputs).
 
     Args:
-        weights: Table of the task, (4, features + 1).
-        inputs: Input of the policy, (features + 1,).
+        weights: Weights of the task's policy, (4, features + 1).
+        inputs: Features of the observation, and the constant 1 as the last input, (features + 1,).
     """
     return np.tanh(weights @ inputs)

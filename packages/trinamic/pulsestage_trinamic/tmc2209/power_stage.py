@@ -1,4 +1,4 @@
-"""Compiled motor driver of the TMC2209: the field that follows the steps, currents, speed thresholds, StallGuard4 and faults.
+"""Compiled power stage of the TMC2209: the field that follows the steps, currents, speed thresholds, StallGuard4 and faults.
 
 Times are in clocks of the axis, whose frequency is `c.hz`; the chip's own clock has `c.f_clk` Hz.
 """
