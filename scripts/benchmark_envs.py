@@ -55,21 +55,21 @@ class RandomEpisodes:
 
     def __init__(self, envs, seconds):
         task, self.actions, self.physics = envs.unwrapped.task_instance, [], 0.0
-        play, dt = task.play, task.stages[0].model.opt.timestep * 1e9
+        play, dt = task.play_actions, task.stages[0].model.opt.timestep * 1e9
 
         def counted():
             before = task.fleet.truth()["now"][:, 0]
             play()
             self.physics += float((task.fleet.truth()["now"][:, 0] - before).sum()) / dt
 
-        task.play = counted
+        task.play_actions = counted
         envs.action_space.seed(SEED)
         envs.reset(seed=SEED)
         passed = 0.0
         while passed < seconds:
             self.actions.append(envs.action_space.sample())
             passed += measure_time(lambda: envs.step(self.actions[-1]))
-        task.play = play
+        task.play_actions = play
 
     def play(self, envs, clock):
         """Play the episodes on `envs`, and return the time that `clock` measures, without the first reset, s."""

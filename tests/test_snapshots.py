@@ -13,7 +13,7 @@ from stage import ArgumentError, Drive, Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.sim import plant
 from stage.support import snapshots
-from stage.support.snapshots import Header, hash_layout
+from stage.support.snapshots import SnapshotHeader, hash_layout
 
 
 @pytest.fixture(scope="module")
@@ -220,6 +220,6 @@ def test_a_layout_is_another_where_a_field_lies_elsewhere():
 
 def test_a_state_that_would_mean_something_else_now_is_another_ones(monkeypatch):
     """VERSION is counted up: a header of the same words has another checksum"""
-    now = Header((("chip", "PCL240K"),)).checksum
+    now = SnapshotHeader((("chip", "PCL240K"),)).checksum
     monkeypatch.setattr(snapshots, "VERSION", snapshots.VERSION + 1)
-    assert Header((("chip", "PCL240K"),)).checksum != now
+    assert SnapshotHeader((("chip", "PCL240K"),)).checksum != now

@@ -65,7 +65,7 @@ def counted_core() -> Work:
     counting(core, "_process_due_events", calls=1)
     for module, name in (
         (single_axis_drive, "note_event"), (timer, "note_event"), (split_pulse, "note_event"), (plan, "_append_open_piece"),
-        (interpolation, "begin_tick"),
+        (interpolation, "begin_interpolation_tick"),
     ):  # fmt: skip
         counting(module, name, steps=1)
     for module, name in ((linear, "step_line"), (circular, "step_arc"), (circular, "_find_nearest_coordinate")):

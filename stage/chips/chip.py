@@ -536,11 +536,11 @@ class Chip(DeclaredAttributes):
         return (type(self).__name__, *self.options().values())
 
     @cached_property
-    def header(self) -> snapshots.Header:
+    def header(self) -> snapshots.SnapshotHeader:
         """Description of the chip in its snapshots."""
         name, hz, *also = self.compatibility_key()
         options = "".join(f", {option}" for option in also)
-        return snapshots.Header(
+        return snapshots.SnapshotHeader(
             (("chip", f"{name} at {hz} Hz{options}"), ("layout of its state", snapshots.hash_layout(self.CORE.STATE)))
         )
 

@@ -125,7 +125,7 @@ class Registry(MutableMapping[str, type[Chip]]):
             packages = ", ".join(source.package for source in sources)
             try:
                 if name in self._families:
-                    raise ArgumentError(_describe_name_conflict(name, sources))
+                    raise ArgumentError(_describe_clash_with_built_in_chip(name, sources))
                 lines.append(ListedChip(name, packages, self[name]))
             except StageError as error:
                 lines.append(ListedChip(name, packages, None, str(error)))
@@ -143,7 +143,7 @@ class Registry(MutableMapping[str, type[Chip]]):
         self._told.add(name)
         sources = _find_sources().get(name) if may_have_package_part(GROUP, name, normalize_chip_name) else None
         if sources:
-            print(f"PulseStage: {_describe_name_conflict(name, sources)}", file=sys.stderr, flush=True)
+            print(f"PulseStage: {_describe_clash_with_built_in_chip(name, sources)}", file=sys.stderr, flush=True)
 
     def _load(self, name: str) -> type[Chip]:
         """Load the class of a chip by its name in the registry."""
@@ -160,8 +160,8 @@ def _find_sources() -> dict[str, list[PackagePart]]:
     return find_package_parts(GROUP, normalize_chip_name)
 
 
-def _describe_name_conflict(name: str, sources: list[PackagePart]) -> str:
-    """Describe that a package brings a chip under one of PulseStage's own names."""
+def _describe_clash_with_built_in_chip(name: str, sources: list[PackagePart]) -> str:
+    """Describe that an installed package has a chip under the name of one of PulseStage's own chips, which stays."""
     others = " and ".join(source.package for source in sources)
     advice = _advise_renaming(sources)
     return f"{name} is one of PulseStage's own chips, and stays it, though {others} has one of this name: {advice}"

@@ -79,7 +79,10 @@ _FLOAT_MODES = {"x86_64": 0x1F80, "AMD64": 0x1F80, "aarch64": 0, "arm64": 0}
 
 
 def _set_usual_mode(_context: Any) -> Any:
-    """Implement a call that sets the default floating-point mode of the processor, and returns the old mode."""
+    """Implement `enter_usual_float_mode`.
+
+    The call sets the processor's floating-point control word (MXCSR, FPCR) to its value in _FLOAT_MODES, and returns the old word.
+    """
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         usual, before = _FLOAT_MODES.get(platform.machine()), ir.Constant(ir.IntType(64), 0)
@@ -92,7 +95,11 @@ def _set_usual_mode(_context: Any) -> Any:
 
 
 def _restore_mode(_context: Any, mode: Any) -> Any:
-    """Implement a call that restores a floating-point mode of the processor."""
+    """Implement `restore_previous_float_mode`: set the processor's floating-point control word (MXCSR, FPCR) to `mode`.
+
+    Args:
+        mode: Control word that `enter_usual_float_mode` returned.
+    """
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if platform.machine() in _FLOAT_MODES:
@@ -103,7 +110,7 @@ def _restore_mode(_context: Any, mode: Any) -> Any:
 
 
 def _get_float_mode(builder: Any) -> Any:
-    """Emit code that reads the floating-point mode of the processor."""
+    """Emit code that reads the processor's floating-point control word."""
     word, half = ir.IntType(64), ir.IntType(32)
     if platform.machine() in ("aarch64", "arm64"):
         return builder.call(
@@ -117,7 +124,7 @@ def _get_float_mode(builder: Any) -> Any:
 
 
 def _set_float_mode(builder: Any, mode: Any) -> None:
-    """Emit code that sets the floating-point mode of the processor."""
+    """Emit code that sets the processor's floating-point control word to `mode`."""
     word, half = ir.IntType(64), ir.IntType(32)
     if platform.machine() in ("aarch64", "arm64"):
         kind = ir.FunctionType(ir.VoidType(), [word])

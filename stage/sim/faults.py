@@ -419,6 +419,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
         raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
 
     def delay_start(address: int, value: int) -> bool:
+        """Let time pass before a start command. Return False: the write is not lost."""
         if axis.chip.would_start_drive(address, value, axis.chip_axis):
             fault.clear()
             axis.stage.run(seconds)
@@ -451,6 +452,7 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
     left = int(skip)
 
     def loses_write(a: int, v: int) -> bool:
+        """Return whether the write of value `v` to address `a` is lost."""
         nonlocal left
         if address not in (None, a) or value not in (None, v):
             return False
@@ -465,7 +467,13 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
 
 
 def _make_bus_fault(where: Axis | Chip, description: str, loses_write: Callable[[int, int], bool]) -> Fault:
-    """Make a fault of the bus: before each write, `loses_write` returns whether the write is lost."""
+    """Make a fault of the bus.
+
+    Args:
+        where: Axis whose chip has the fault, or the chip.
+        description: Description of the fault for users.
+        loses_write: Function that is called with address and value before each write; it returns whether the write is lost.
+    """
     chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where.stage)
     name = type(where).__name__ if isinstance(where, Chip) else f"axis {where.name}"
 

@@ -42,7 +42,7 @@ from stage.sim.stage_state import SAVED, State, count_state_words, list_chips
 from stage.sim.wiring_choices import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
 from stage.support import html, snapshots
 from stage.support.argument_checks import explain_arguments
-from stage.support.snapshots import Header
+from stage.support.snapshots import SnapshotHeader
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -186,7 +186,7 @@ class Stage:
         self._header = self._bare = self._make_header()
         self.device_state = DeviceState()
 
-    def _make_header(self) -> Header:
+    def _make_header(self) -> SnapshotHeader:
         """Make the description of the stage in its snapshots, without the devices on its bus."""
         return describe_stage(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
@@ -222,7 +222,7 @@ class Stage:
         self.loop.ensure_powered()
 
     def prepare_change(self) -> None:
-        """Prepare a change of the stage's records.
+        """Check that this thread may write the stage's records, and power the stage up if MuJoCo has cleared its state.
 
         Raises:
             StageError: Another thread runs the stage.
@@ -411,7 +411,7 @@ class Stage:
         self.apply_faults()
         before = self._initial
         self._bare = self._make_header()
-        self._header = Header(self._bare.parts + self.device_state.header_part)
+        self._header = SnapshotHeader(self._bare.parts + self.device_state.header_part)
         self._initial = _make_snapshot(
             self._header, compute_power_up_state(self.state, axis, drive, before.state), before.diagnostics
         )
@@ -480,7 +480,7 @@ class Stage:
                 chip.open_journal.note_input(chip.clock, axis.chip_axis, chip.input_word(axis.chip_axis))
 
     @property
-    def header(self) -> Header:
+    def header(self) -> SnapshotHeader:
         """Description of the stage in its snapshots. A snapshot can be restored if its description is equal."""
         return self._header
 
@@ -541,7 +541,7 @@ class Stage:
             ArgumentError: An array is not contiguous.
         """
         self.device_state.add_device(name, arrays)
-        header = Header(self._bare.parts + self.device_state.header_part)
+        header = SnapshotHeader(self._bare.parts + self.device_state.header_part)
         state = np.zeros(len(self.state.saved) + self.device_state.words)
         self.copy_state(state)
         before = self._initial
@@ -718,7 +718,7 @@ class Stage:
         return html.format_heading(f"Stage at {self.time:.6f} s{more}") + format_axes_table(self._axes)
 
 
-def _make_snapshot(header: Header, state: np.ndarray, diagnostics: tuple) -> Snapshot:
+def _make_snapshot(header: SnapshotHeader, state: np.ndarray, diagnostics: tuple) -> Snapshot:
     """Make a snapshot with its checksum."""
     state.flags.writeable = False
     return Snapshot(header, state, diagnostics, crc32(state.data, header.checksum))

@@ -46,7 +46,7 @@ def describe_stage(
     encoders: Iterable[Encoder] = (),
     followers: Iterable[tuple[str, str]] = (),
     linked: Iterable[str] = (),
-) -> snapshots.Header:
+) -> snapshots.SnapshotHeader:
     """Make the description of a stage in its snapshots. Payloads and faults are not part of it.
 
     Args:
@@ -83,7 +83,7 @@ def describe_stage(
     )
     layouts = " ".join(map(snapshots.hash_layout, kinds))
     parts.append(("layout of the state", f"{_digest(layouts.encode())} ({len(state.saved)} words)"))
-    return snapshots.Header(tuple(parts))
+    return snapshots.SnapshotHeader(tuple(parts))
 
 
 def _digest(data: bytes) -> str:

@@ -126,15 +126,24 @@ def _correct_flag_shift(edges, switch, switch_row, position, distance):
 
 
 @hot
-def _place_flag_ahead(edges, switch, switch_row, position, velocity, distance):
-    """Correct the shift of a flag if the joint, at `position` when the sensor first detects the vane, would move away from it."""
+def _shift_flag_ahead_of_joint(flag_edges, switch, switch_row, position, velocity, distance):
+    """Shift a flag so that its edge is ahead of the joint, if the joint would move away from the vane that the sensor detects.
+
+    Args:
+        flag_edges: FLAG_EDGE records of all switches.
+        switch: SWITCH record, whose shift is corrected.
+        switch_row: The switch's row of SWITCH_TABLE.
+        position: Joint position when the sensor first detects the vane, m (rad on a hinge).
+        velocity: Speed of the joint, m/s (rad/s).
+        distance: Distance that the sensor measures, m.
+    """
     k, nearest = -1, UNREACHED
     for i in range(switch_row.first_edge, switch_row.end_edge):
-        away = abs(_measure_travel_from(edges[i], position, switch_row.turn))
-        if edges[i].slope * velocity < 0.0 and away < nearest:
+        away = abs(_measure_travel_from(flag_edges[i], position, switch_row.turn))
+        if flag_edges[i].slope * velocity < 0.0 and away < nearest:
             k, nearest = i, away
     if k >= 0 and distance > 0.0:
-        x, sensed = _measure_travel_from(edges[k], position, switch_row.turn), distance / edges[k].slope
+        x, sensed = _measure_travel_from(flag_edges[k], position, switch_row.turn), distance / flag_edges[k].slope
         if x * sensed < 0.0:
             switch.shift += x - sensed
 
@@ -275,7 +284,7 @@ def predict_axis_switch_edges(
         if sensordata[t.found] > 0.0:
             q_sensed, dist = position - velocity * 2.0 * half if has_moved else position, sensordata[t.dist]
             if has_moved and not s.sensed:
-                _place_flag_ahead(edges, s, t, q_sensed, velocity, dist)
+                _shift_flag_ahead_of_joint(edges, s, t, q_sensed, velocity, dist)
             s.sensed = 1
             _correct_flag_shift(edges, s, t, q_sensed, dist)
         else:

@@ -25,7 +25,7 @@ import numpy as np
 from stage.errors import ArgumentError
 from stage.support.files import write_atomically
 from stage.support.foreign_files import parse_json, read_bytes
-from stage.support.snapshots import VERSION, Header, Snapshot
+from stage.support.snapshots import VERSION, Snapshot, SnapshotHeader
 
 MAGIC = b"PulseStage snapshot\n"
 FORMAT = 1
@@ -107,7 +107,7 @@ class SavableSnapshot(Snapshot):
         try:
             parts = tuple((str(what), str(which)) for what, which in description["parts"])
             snapshot = cls(
-                Header(parts),
+                SnapshotHeader(parts),
                 cls._decode_state(state),
                 cls._decode_diagnostics(description["noted"]),
                 description["checksum"],

@@ -24,8 +24,8 @@ VERSION = 1
 
 
 @dataclass(frozen=True)
-class Header:
-    """Description of the captured object as pairs (property, value), the most general property first."""
+class SnapshotHeader:
+    """Description of the object that a snapshot captured: pairs (property, value), the most general property first."""
 
     parts: tuple[tuple[str, str], ...]
 
@@ -33,6 +33,10 @@ class Header:
     def checksum(self) -> int:
         """CRC-32 of the parts."""
         return zlib.crc32(repr((VERSION, self.parts)).encode())
+
+
+Header = SnapshotHeader
+"""Name of the class in snapshots that earlier versions have pickled."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,7 +52,7 @@ class Snapshot:
     """
 
     of: ClassVar[str]
-    header: Header
+    header: SnapshotHeader
     state: Any
     diagnostics: tuple
     checksum: int
@@ -91,7 +95,7 @@ def _make_damage_error(cls: type[Snapshot]) -> ArgumentError:
     )
 
 
-def check_restorable(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
+def check_restorable(snapshot: Any, cls: type[Snapshot], header: SnapshotHeader) -> None:
     """Raise ArgumentError unless `snapshot` is an undamaged instance of `cls` whose header equals `header`."""
     if not isinstance(snapshot, cls):
         what = f"a snapshot of {snapshot.of}" if isinstance(snapshot, Snapshot) else reprlib.repr(snapshot)

@@ -22,7 +22,9 @@ class Contents:
     """Contents of a chip before a write, as the lint reads them; a mask of axes has bit 0 for X."""
 
     data = driving_axes = relative_drives = absolute_drives = interpolated_axes = multichip_role = helix_ticks = 0
-    has_unused_data = is_interpolating = is_queue_full = is_loading_pattern = is_linked = has_master_started = False
+    has_unused_data = is_interpolating = is_queue_full = is_loading_pattern = is_wired_to_other_chips = (
+        has_master_started
+    ) = False
     drive_speed = tp_values = ()
 
     def __init__(self, **contents):
@@ -214,7 +216,7 @@ def test_no_write_raises_and_every_diagnostic_has_a_message_and_a_section(chip):
             "is_interpolating",
             "is_queue_full",
             "is_loading_pattern",
-            "is_linked",
+            "is_wired_to_other_chips",
             "has_master_started",
         )
         contents |= {name: rng.random() < 0.5 for name in names}

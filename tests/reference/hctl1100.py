@@ -70,9 +70,9 @@ class ReferenceHCTL1100:
         self.offset = self.encoder
         self.counter, self.in_count = 0x40, 0
         self.sync_holds = False
-        self.enter_idle()
+        self.enter_init_idle_mode()
 
-    def enter_idle(self):
+    def enter_init_idle_mode(self):
         self.mode = "idle"
         self.forget()
         self.drive(0)
@@ -244,7 +244,7 @@ class ReferenceHCTL1100:
         if self.pins["limit"]:
             self.limited = True
             if self.mode != "idle":
-                self.enter_idle()
+                self.enter_init_idle_mode()
         self.obey_sync()
 
     def obey_sync(self):
@@ -344,7 +344,7 @@ class ReferenceHCTL1100:
         if value == 0:
             self.soft_reset()
         elif value == 1:
-            self.enter_idle()
+            self.enter_init_idle_mode()
         elif value in (2, 3) and self.mode == "idle" and not self.limited:
             if value == 2:
                 self.mode, self.align_left = "align", 4096

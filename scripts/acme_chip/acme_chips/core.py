@@ -141,9 +141,15 @@ def scan_edges(c, until, every_pulse, axis, out):
 
 
 @exported(None, STATE, "i8", "i8")
-def run_window(c, row, k):
-    """The slices of a physics step."""
-    run_slices(c, row, k, run, read_net_count, compute_drive_input)
+def run_window(c, row_address, first_slice):
+    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
+
+    Args:
+        c: State of the chip.
+        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
+        first_slice: First slice to run, from 0; a slice is an eighth of a window.
+    """
+    run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
 @exported("f8", STATE, "i8", "i8", "f8")

@@ -25,7 +25,7 @@ IS_WRITE_ONLY = tuple(
 
 
 @hot
-def enter_idle(chip):
+def enter_init_idle_mode(chip):
     """Enter the mode Init/Idle: set the motor command to 0 and clear the history of the control law. The flags stay."""
     chip.mode, chip.aligning = state.IDLE, 0
     law.clear_history(chip)
@@ -41,7 +41,7 @@ def soft_reset(chip):
     chip.status = chip.limit_triggered = chip.stop_triggered = 0
     chip.position_origin, chip.timer_stopped = encoder.read_count(chip), 0
     start_period(chip)
-    enter_idle(chip)
+    enter_init_idle_mode(chip)
     apply_pins(chip)
 
 
@@ -68,7 +68,7 @@ def apply_pins(chip):
     if chip.inputs & state.LIMIT:
         chip.limit_triggered = 1
         if chip.mode != state.IDLE:
-            enter_idle(chip)
+            enter_init_idle_mode(chip)
     apply_sync(chip)
 
 
@@ -105,7 +105,7 @@ def _write_mode(chip, value):
     if value == MODE_RESET:
         soft_reset(chip)
     elif value == MODE_IDLE:
-        enter_idle(chip)
+        enter_init_idle_mode(chip)
     elif chip.mode == state.IDLE and not chip.limit_triggered and value in (MODE_ALIGN, MODE_CONTROL):
         if value == MODE_ALIGN:
             commutator.start_align(chip)
@@ -129,7 +129,7 @@ def _write_status(chip, value):
 def _write_command_low(chip, low):
     """Execute a write to R0E, which moves the command position to R0C, R0D and this byte."""
     command = state.to_signed(chip.command_high << 16 | chip.command_middle << 8 | low, 24)
-    law.apply_early_position(chip, command)
+    law.apply_position_written_during_computation(chip, command)
     chip.command, chip.fraction = command, 0
 
 

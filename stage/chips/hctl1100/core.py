@@ -163,7 +163,13 @@ def compute_drive_input(chip, axis_index, net_before, clocks):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(chip, row_address, first_slice):
-    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
+    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
+
+    Args:
+        chip: State of the chip.
+        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
+        first_slice: First slice to run, from 0; a slice is an eighth of a window.
+    """
     run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
@@ -211,7 +217,7 @@ def compute_missed_counts(chip):
 
 @exported("i8", STATE, "i8")
 def advance(chip, until):
-    """Let the clock run up to `until`, and return the number of pulses, 0."""
+    """Let the clock run up to `until`, and return the number of pulses for core_interface.py: 0, a servo chip makes none."""
     run(chip, until)
     chip.drive_integral = 0
     return 0

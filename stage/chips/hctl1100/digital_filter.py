@@ -83,7 +83,7 @@ def _is_computing(chip):
 
 
 @hot
-def apply_early_position(chip, command):
+def apply_position_written_during_computation(chip, command):
     """Apply a command position that the host wrote before the computation of the sample was finished.
 
     The control law runs once more with the new low byte and the old upper bytes. The ports keep this result until the next sample.

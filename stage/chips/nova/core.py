@@ -58,7 +58,7 @@ def _process_due_events(chip):
             single_axis_drive.apply_inputs(chip, axis)
             external_drives.apply_pin_changes(chip, axis)
             if axis.launch_direction:
-                home_search.launch_step_drive(chip, axis)
+                home_search.launch_search_step_drive(chip, axis)
             home_search.update_search(chip, axis)
         interpolation.update_interpolation(chip)
         for j in range(chip.axes):
@@ -85,7 +85,7 @@ def _process_due_events(chip):
 def _advance_time(chip, until):
     """Advance the clock to `until`, with nothing but pulses. A tick of an interpolation that causes an event ends this early."""
     if chip.interpolating:
-        until = interpolation.make_ticks(chip, until)
+        until = interpolation.make_interpolation_ticks(chip, until)
     _advance_drives(chip, until)
 
 
@@ -406,7 +406,13 @@ def read_register_value(chip, register_number, page):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(chip, row_address, first_slice):
-    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
+    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
+
+    Args:
+        chip: State of the chip.
+        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
+        first_slice: First slice to run, from 0; a slice is an eighth of a window.
+    """
     run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
@@ -447,7 +453,7 @@ def trace_pulses(chip, until, edges):
     while chip.clock < until:
         stop, first = least(until, chip.quiet_until), k
         if chip.interpolating:
-            stop, k = interpolation.trace_ticks(chip, stop, edges, k)
+            stop, k = interpolation.trace_interpolation_ticks(chip, stop, edges, k)
         k = pulse_trace.log_pulses(chip, stop, edges, first, k)
         _advance_drives(chip, stop)
         if chip.stale or chip.clock >= chip.quiet_until:

@@ -181,13 +181,13 @@ class LintState:
         return int(self._axes[0]["mode"][state.IPM]) >> multichip.MLT & 3
 
     @property
-    def is_linked(self) -> bool:
-        """Whether wires join the chip to others."""
+    def is_wired_to_other_chips(self) -> bool:
+        """True if wires join the chip to other chips, for multichip interpolation."""
         return bool(self._record["wire_word"])
 
     @property
     def has_master_started(self) -> bool:
-        """Whether the master of the linked chips has started."""
+        """True if the master of the chips that are wired together has started."""
         return bool(self._record["wire_word"] & multichip.GO)
 
     @property
@@ -368,7 +368,9 @@ def _lint_interpolation(chip: Any, command: Command, name: str) -> Iterator[Find
         yield from _lint_multichip(chip, command, name)
     if not chip.is_interpolating and (moving := axes & chip.driving_axes):
         yield AXIS_DRIVES, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
-    if chip.is_queue_full and not (chip.multichip_role and chip.is_linked):  # lines of several chips do not queue
+    if chip.is_queue_full and not (
+        chip.multichip_role and chip.is_wired_to_other_chips
+    ):  # lines of several chips do not queue
         yield PRE_BUFFER_FULL, f"{name} while the pre-buffer is full: wait for CNEXT = 1"
     speed = sum(dv for k, dv in enumerate(chip.drive_speed) if _find_main_axis(chip) >> k & 1)
     if chip.is_interpolating and speed > CONTINUOUS_SPEED:
@@ -398,14 +400,14 @@ def _lint_multichip(chip: Any, command: Command, name: str) -> Iterator[Finding]
         if chip.multichip_role < len(MLT.values)
         else name
     )
-    if chip.multichip_role == 1 and not chip.is_linked:
+    if chip.multichip_role == 1 and not chip.is_wired_to_other_chips:
         why = "no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
         return
     if not command.symbol.startswith("LHK"):
         why = "starts nothing: of several chips together only lines, 60h to 63h, are modeled"
         yield ONLY_LINES, f"{subject} {why}"
-    if not chip.is_linked:
+    if not chip.is_wired_to_other_chips:
         why = "no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
     if chip.is_interpolating:

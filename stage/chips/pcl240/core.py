@@ -238,7 +238,13 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(chip, row_address, first_slice):
-    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
+    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
+
+    Args:
+        chip: State of the chip.
+        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
+        first_slice: First slice to run, from 0; a slice is an eighth of a window.
+    """
     if not run_window_at_constant_speed(chip, row_address, first_slice):
         run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 

@@ -1,4 +1,7 @@
-"""State of a PCL-240 chip as a record for compiled code, its pins and register bits, and the begin and end of a run."""
+"""State of a PCL-240 chip as a record for compiled code, its pins and register bits, and the begin and end of a run.
+
+A run lasts from a start command to the stop.
+"""
 
 from __future__ import annotations
 

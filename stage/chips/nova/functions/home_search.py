@@ -165,7 +165,7 @@ def start_search(chip, axis):
     if axis.driving or axis.awaits_inpos or axis.home_state or axis.interpolates:
         return
     single_axis_drive.note_event(axis, state.D_STA)
-    _begin_step(chip, axis, 1)
+    _begin_search_step(chip, axis, 1)
 
 
 @hot
@@ -207,15 +207,18 @@ def _clear_counters(axis, clear_rp, clear_lp):
 
 
 @hot
-def launch_step_drive(chip, axis):
-    """Begin the drive that a step of the search has requested, apart from the steps because these then compile much faster."""
+def launch_search_step_drive(chip, axis):
+    """Begin the drive that a step of the search has requested.
+
+    The steps do not call `begin_drive` themselves, because they then compile much faster.
+    """
     direction, axis.launch_direction = axis.launch_direction, 0
     single_axis_drive.begin_drive(chip, axis, direction, axis.launch_pulses)
 
 
 @hot
 def _request_drive(axis, search_step, direction, at_hv):
-    """Request an endless drive for a step of the search; `launch_step_drive` begins it.
+    """Request an endless drive for a step of the search; `launch_search_step_drive` begins it.
 
     Args:
         axis: State of the axis.
@@ -229,7 +232,7 @@ def _request_drive(axis, search_step, direction, at_hv):
 
 
 @hot
-def _begin_step(chip, axis, search_step):
+def _begin_search_step(chip, axis, search_step):
     """Begin step `search_step` of the search, or the first later step that is enabled."""
     enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
     axis.home_trigger = axis.pause_end = axis.home_handles_limits = 0
@@ -267,8 +270,8 @@ def _begin_step(chip, axis, search_step):
 
 
 @hot
-def _watch_step_drive(chip, axis):
-    """Stop the drive of a step if its signal or a limit has come."""
+def _watch_search_step_drive(chip, axis):
+    """Stop the drive of a step of the search if the signal that ends the step, or a limit, has come."""
     if axis.home_state == SEEK:
         if _is_limit_ahead(chip, axis, 1):
             axis.home_trigger = LIMIT
@@ -309,8 +312,8 @@ def _requires_stop1(chip, axis):
 
 
 @hot
-def _finish_step_drive(chip, axis):
-    """Continue the search after the drive of a step has ended."""
+def _continue_after_search_step(chip, axis):
+    """Continue the search when the drive of one of its steps has ended: begin a pause or the next step, or end the search."""
     if axis.home_state == OFFSET and axis.pulses_done >= axis.output_pulses:
         _finish_search(chip, axis)
     elif not axis.home_trigger:
@@ -320,7 +323,7 @@ def _finish_step_drive(chip, axis):
     elif axis.home_state == BACK_OUT:
         _begin_pause(chip, axis, PAUSE_BACK, 0)
     elif axis.home_state == SEARCH and axis.home_trigger == LIMIT:
-        _begin_step(chip, axis, 2)
+        _begin_search_step(chip, axis, 2)
     elif axis.home_state == SEARCH:
         _begin_pause(chip, axis, PAUSE_2, _clear_at_signal(chip, axis, AFTER_2))
     elif axis.home_state == SEARCH_Z:
@@ -383,7 +386,7 @@ def _begin_pause(chip, axis, next_step, clocks):
         clocks += CLOCKS_PER_MS * HOME_TIMES[mode >> HTM & 7]
     axis.pause_end = chip.clock + clocks
     if clocks == 0:
-        _begin_step(chip, axis, _find_step_after_pause(axis))
+        _begin_search_step(chip, axis, _find_step_after_pause(axis))
 
 
 # --- time ---
@@ -399,11 +402,11 @@ def update_search(chip, axis):
             axis.stop_causes |= (state.E_EMG | state.F_EMG) if chip.emergency else (state.E_ALARM | state.F_ALARM)
             end_search(chip, axis)
         elif chip.clock >= axis.pause_end:
-            _begin_step(chip, axis, _find_step_after_pause(axis))
+            _begin_search_step(chip, axis, _find_step_after_pause(axis))
     elif axis.driving:
-        _watch_step_drive(chip, axis)
+        _watch_search_step_drive(chip, axis)
     elif not axis.awaits_inpos:
-        _finish_step_drive(chip, axis)
+        _continue_after_search_step(chip, axis)
 
 
 @hot

@@ -137,8 +137,8 @@ def start_interpolation(chip):
     """Start the prepared interpolation, unless a limit or an error prevents it."""
     interpolation, axis = chip.ip, chip.ax[chip.ip.main_axis]
     interpolation.start_clock = chip.clock
-    dd.store(interpolation.tick_place, dd.ZERO)
-    dd.store(interpolation.segment_start, dd.ZERO)
+    dd.store_pair(interpolation.tick_place, dd.ZERO)
+    dd.store_pair(interpolation.segment_start, dd.ZERO)
     segment.find_segment_end(chip)
     if not segment.begin_segment(chip):
         for j in range(chip.axes):
@@ -194,7 +194,7 @@ def _begin_next_segment(chip):
         interpolation.waiting_segments -= 1
         interpolation.queue_head = (interpolation.queue_head + 1) % (state.STAGES + 1)
         _assert_interrupts(chip)
-        dd.store(interpolation.segment_start, dd.load(interpolation.tick_place))
+        dd.store_pair(interpolation.segment_start, dd.load_pair(interpolation.tick_place))
         segment.find_segment_end(chip)
         if segment.begin_segment(chip):
             break
@@ -239,8 +239,8 @@ def _compute_tick_rate(chip):
 
 
 @hot
-def begin_tick(chip):
-    """Begin the prepared tick of the interpolation at the present clock."""
+def begin_interpolation_tick(chip):
+    """Begin the prepared tick of the interpolation at the present clock: its pulses, and the preparation of the next tick."""
     interpolation, queued_segment = chip.ip, chip.queue[chip.ip.queue_head]
     if interpolation.ends_interpolation:
         end_interpolation(chip)
@@ -268,7 +268,7 @@ def begin_tick(chip):
 
 
 @exported("i8", state.STATE, "i8")
-def make_ticks(chip, until):
+def make_interpolation_ticks(chip, until):
     """Begin all ticks of the interpolation up to a clock.
 
     Args:
@@ -280,15 +280,15 @@ def make_ticks(chip, until):
     """
     while chip.ip.next_tick_clock <= until:
         chip.clock = chip.ip.next_tick_clock
-        begin_tick(chip)
+        begin_interpolation_tick(chip)
         if chip.stale:
             return chip.clock
     return until
 
 
 @hot
-def trace_ticks(chip, until, pulses, pulse_index):
-    """Begin ticks as `make_ticks` does, and log their pulses by clock, then axis.
+def trace_interpolation_ticks(chip, until, pulses, pulse_index):
+    """Begin ticks as `make_interpolation_ticks` does, and log their pulses by clock, then axis.
 
     Args:
         chip: State of the chip.
@@ -314,7 +314,7 @@ def trace_ticks(chip, until, pulses, pulse_index):
                     e = pulses[pulse_index]
                     e.clock, e.axis, e.direction = chip.clock, j, chip.ax[j].direction
                     pulse_index += 1
-        begin_tick(chip)
+        begin_interpolation_tick(chip)
         if chip.stale:
             return chip.clock, pulse_index
     return until, pulse_index
@@ -396,7 +396,7 @@ def find_next_event(chip):
 def make_single_step(chip):
     """Make the next tick of a single-stepped interpolation by a host's command."""
     if chip.interpolating and chip.ip.single_stepped and not chip.ip.awaits_start and chip.ip.role != state.SLAVE:
-        begin_tick(chip)
+        begin_interpolation_tick(chip)
         chip.stale = 1
 
 

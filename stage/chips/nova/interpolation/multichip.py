@@ -129,7 +129,7 @@ def _apply_master_ticks(chip, tick_count, process_due_events):
         if chip.interpolating:
             if chip.clock > ip.last_tick_clock:
                 ip.tick_interval, ip.last_tick_clock = chip.clock - ip.last_tick_clock, chip.clock
-            interpolation.begin_tick(chip)
+            interpolation.begin_interpolation_tick(chip)
             if chip.stale:
                 process_due_events(chip)
 

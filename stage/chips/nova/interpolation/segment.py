@@ -67,8 +67,8 @@ def _compute_segment_length(chip, queue_index):
     else:
         one, two, three = helical.count_helix_ticks(interpolation.scratch_arc, segment)
     distance = dd.add(
-        dd.from_integer(one),
-        dd.add(dd.multiply(dd.from_integer(two), ROOT2), dd.multiply(dd.from_integer(three), ROOT3)),
+        dd.to_double_double(one),
+        dd.add(dd.multiply(dd.to_double_double(two), ROOT2), dd.multiply(dd.to_double_double(three), ROOT3)),
     )
     return dd.scale(distance, 1.0 / segment.inner_ticks)
 
@@ -86,9 +86,12 @@ def prepare_tick(chip):
     moved = 0
     for k in range(least(segment.vector_axes, segment.axis_count)):
         moved += interpolation.steps[k]
-    dd.store(
+    dd.store_pair(
         interpolation.tick_place,
-        dd.add(dd.load(interpolation.tick_place), dd.scale(_find_tick_length(moved), 1.0 / segment.inner_ticks)),
+        dd.add(
+            dd.load_pair(interpolation.tick_place),
+            dd.scale(_find_tick_length(moved), 1.0 / segment.inner_ticks),
+        ),
     )
     for k in range(segment.axis_count):
         axis, direction = chip.ax[segment.axis_numbers[k]], interpolation.directions[k]
@@ -123,18 +126,20 @@ def _plan_segment(chip, axis):
     interpolation.plan_decelerates = segment.decelerates
     rate_registers.load_drive_speed(chip, axis, interpolation.planned_speed)
     if not segment.decelerates:
-        plan_endless_drive(axis, dd.load(axis.dv))
+        plan_endless_drive(axis, dd.load_pair(axis.dv))
         return
     goal = single_axis_drive.find_goal_speed(
         axis,
-        dd.floor(dd.subtract(dd.load(interpolation.segment_end), dd.load(interpolation.segment_start))),
+        dd.floor(dd.subtract(dd.load_pair(interpolation.segment_end), dd.load_pair(interpolation.segment_start))),
     )
-    point = dd.floor(dd.load(interpolation.segment_start)) + axis.reg[DP]
+    point = dd.floor(dd.load_pair(interpolation.segment_start)) + axis.reg[DP]
     if not axis.manual_deceleration:
-        plan_fixed_drive(axis, dd.subtract(dd.load(interpolation.segment_end), dd.from_integer(axis.reg[AO])), goal)
-    elif dd.is_less(dd.load(axis.cursor[CURSOR_PLACE]), dd.from_integer(point)):
+        plan_fixed_drive(
+            axis, dd.subtract(dd.load_pair(interpolation.segment_end), dd.to_double_double(axis.reg[AO])), goal
+        )
+    elif dd.is_less(dd.load_pair(axis.cursor[CURSOR_PLACE]), dd.to_double_double(point)):
         plan_endless_drive(axis, goal)
-        if dd.is_less(dd.from_integer(point), dd.load(interpolation.segment_end)):
+        if dd.is_less(dd.to_double_double(point), dd.load_pair(interpolation.segment_end)):
             plan_braking_at(axis, point)
     else:
         append_braking(axis)
@@ -151,7 +156,7 @@ def replan_segment(chip, axis):
             chip.clock,
             dd.ZERO,
             dd.ZERO,
-            dd.minimum(dd.load(axis.sv), dd.load(axis.dv)),
+            dd.minimum(dd.load_pair(axis.sv), dd.load_pair(axis.dv)),
             dd.ZERO,
         )
     else:
@@ -174,7 +179,7 @@ def find_tick_clock(chip, axis):
     interpolation.next_tick_clock = NEVER
     if not interpolation.single_stepped:
         n, interpolation.tick_piece = find_clock_of_place(
-            axis, interpolation.tick_piece, dd.load(interpolation.tick_place)
+            axis, interpolation.tick_piece, dd.load_pair(interpolation.tick_place)
         )
         if n < NEVER:
             interpolation.next_tick_clock = axis.origin + n
@@ -194,10 +199,10 @@ def find_segment_end(chip):
     """Find the place in the profile at which the running segment ends, if it decelerates there."""
     interpolation = chip.ip
     if chip.queue[interpolation.queue_head].decelerates:
-        distance = dd.load(interpolation.segment_start)
+        distance = dd.load_pair(interpolation.segment_start)
         for k in range(1 + (interpolation.waiting_segments if is_chained_pattern(chip) else 0)):
             distance = dd.add(distance, _compute_segment_length(chip, k))
-        dd.store(interpolation.segment_end, distance)
+        dd.store_pair(interpolation.segment_end, distance)
 
 
 @hot
@@ -220,16 +225,16 @@ def _has_reached_place(axis, piece, clocks, place):
     """
     if axis.a2[piece, 0] == 0.0 and axis.j6[piece, 0] == 0.0:  # the same, sooner
         reached = dd.add(
-            dd.load(axis.p[piece]),
+            dd.load_pair(axis.p[piece]),
             dd.multiply(
-                dd.subtract(dd.from_integer(clocks), dd.load(axis.t[piece])),
-                dd.load(axis.v[piece]),
+                dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[piece])),
+                dd.load_pair(axis.v[piece]),
             ),
         )
     else:
         reached = compute_exact_place(axis, piece, clocks)
     return not dd.is_less(
-        dd.add(dd.add(dd.from_integer(axis.from_pulse[piece]), reached), (PLACE_TOLERANCE, 0.0)), place
+        dd.add(dd.add(dd.to_double_double(axis.from_pulse[piece]), reached), (PLACE_TOLERANCE, 0.0)), place
     )
 
 
@@ -257,7 +262,9 @@ def find_clock_of_place(axis, piece, place):
             else (axis.t[piece + 1, 0] - axis.t[piece, 0]) + (axis.t[piece + 1, 1] - axis.t[piece, 1])
         )
         distance = greatest(
-            dd.subtract(dd.subtract(place, dd.from_integer(axis.from_pulse[piece])), dd.load(axis.p[piece]))[0],
+            dd.subtract(dd.subtract(place, dd.to_double_double(axis.from_pulse[piece])), dd.load_pair(axis.p[piece]))[
+                0
+            ],
             0.0,
         )
         t = compute_time_in_piece(axis, piece, distance, max_time)

@@ -15,15 +15,15 @@ ZERO = (0.0, 0.0)
 
 
 @hot
-def load(row):
-    """Load a double-double from the two floats of a row."""
+def load_pair(row):
+    """Load a double-double, the pair (high, low), from the first two floats of a row."""
     return row[0], row[1]
 
 
 @hot
-def store(row, value):
-    """Store a double-double in the two floats of a row."""
-    row[0], row[1] = value
+def store_pair(row, pair):
+    """Store a double-double, the pair (high, low), in the first two floats of a row."""
+    row[0], row[1] = pair
 
 
 @hot
@@ -55,10 +55,10 @@ def multiply_floats(a, b):
 
 
 @hot
-def from_integer(i):
-    """Convert an integer, |i| < 2^62, to a double-double, exactly."""
-    h = float(i)
-    return add_ordered_floats(h, float(i - int(h)))
+def to_double_double(integer):
+    """Convert an integer, |integer| < 2^62, to a double-double, exactly."""
+    h = float(integer)
+    return add_ordered_floats(h, float(integer - int(h)))
 
 
 @hot
@@ -90,9 +90,9 @@ def multiply(a, b):
 
 
 @hot
-def scale(a, x):
-    """Multiply a double-double by the float `x`, a power of two, exactly."""
-    return a[0] * x, a[1] * x
+def scale(a, power_of_two):
+    """Multiply a double-double by a float that is a power of two, exactly."""
+    return a[0] * power_of_two, a[1] * power_of_two
 
 
 @hot

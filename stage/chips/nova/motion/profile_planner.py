@@ -29,9 +29,9 @@ SPEED_ROUNDING = 1e-25  # of a speed: what rounding leaves
 @hot
 def _draft_piece(axis, piece_index, duration, rate, jerk):
     """Store a piece of a draft, unless its duration is not positive, and return the index of the next piece."""
-    dd.store(axis.drafted_pieces[piece_index, DURATION], duration)
-    dd.store(axis.drafted_pieces[piece_index, START_ACCELERATION], rate)
-    dd.store(axis.drafted_pieces[piece_index, JERK], jerk)
+    dd.store_pair(axis.drafted_pieces[piece_index, DURATION], duration)
+    dd.store_pair(axis.drafted_pieces[piece_index, START_ACCELERATION], rate)
+    dd.store_pair(axis.drafted_pieces[piece_index, JERK], jerk)
     return piece_index + 1 if duration[0] > 0.0 else piece_index
 
 
@@ -39,9 +39,9 @@ def _draft_piece(axis, piece_index, duration, rate, jerk):
 def _read_draft_piece(pieces, piece_index):
     """Return the duration, the acceleration at the start and the jerk of piece `piece_index` of a draft."""
     return (
-        dd.load(pieces[piece_index, DURATION]),
-        dd.load(pieces[piece_index, START_ACCELERATION]),
-        dd.load(pieces[piece_index, JERK]),
+        dd.load_pair(pieces[piece_index, DURATION]),
+        dd.load_pair(pieces[piece_index, START_ACCELERATION]),
+        dd.load_pair(pieces[piece_index, JERK]),
     )
 
 
@@ -70,21 +70,21 @@ def draft_speed_change(axis, speed, acceleration, goal_speed):
             return _draft_piece(
                 axis,
                 0,
-                dd.divide(dd.subtract(goal_speed, speed), dd.load(axis.acceleration)),
-                dd.load(axis.acceleration),
+                dd.divide(dd.subtract(goal_speed, speed), dd.load_pair(axis.acceleration)),
+                dd.load_pair(axis.acceleration),
                 zero,
             )
         return _draft_piece(
             axis,
             0,
-            dd.divide(dd.subtract(speed, goal_speed), dd.load(axis.deceleration)),
-            dd.negate(dd.load(axis.deceleration)),
+            dd.divide(dd.subtract(speed, goal_speed), dd.load_pair(axis.deceleration)),
+            dd.negate(dd.load_pair(axis.deceleration)),
             zero,
         )
     k = 0
     falls = acceleration[0] < 0.0
     if acceleration[0] != 0.0:
-        jerk = dd.load(axis.deceleration_jerk) if falls else dd.load(axis.acceleration_jerk)
+        jerk = dd.load_pair(axis.deceleration_jerk) if falls else dd.load_pair(axis.acceleration_jerk)
         left = dd.scale(dd.divide(dd.multiply(acceleration, acceleration), jerk), 0.5)
         settled = dd.subtract(speed, left) if falls else dd.add(speed, left)
         if not dd.is_less(goal_speed, settled) if falls else not dd.is_less(settled, goal_speed):
@@ -97,9 +97,9 @@ def draft_speed_change(axis, speed, acceleration, goal_speed):
     if acceleration[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal_speed[0]:
         return k
     jerk, maximum = (
-        (dd.load(axis.deceleration_jerk), dd.load(axis.deceleration))
+        (dd.load_pair(axis.deceleration_jerk), dd.load_pair(axis.deceleration))
         if falls
-        else (dd.load(axis.acceleration_jerk), dd.load(axis.acceleration))
+        else (dd.load_pair(axis.acceleration_jerk), dd.load_pair(axis.acceleration))
     )
     size = _negate_if(acceleration, falls)
     squares = dd.scale(dd.multiply(size, size), 0.5)
@@ -146,22 +146,22 @@ def draft_braking(axis, speed, acceleration):
     """
     if not axis.curved:
         return (
-            draft_speed_change(axis, speed, acceleration, dd.load(axis.sv))
-            if dd.is_less(dd.load(axis.sv), speed)
+            draft_speed_change(axis, speed, acceleration, dd.load_pair(axis.sv))
+            if dd.is_less(dd.load_pair(axis.sv), speed)
             else 0
         )
     if acceleration[0] == 0.0:
         return (
-            draft_speed_change(axis, speed, acceleration, dd.load(axis.sv))
-            if dd.is_less(dd.load(axis.sv), speed)
+            draft_speed_change(axis, speed, acceleration, dd.load_pair(axis.sv))
+            if dd.is_less(dd.load_pair(axis.sv), speed)
             else 0
         )
     falls = acceleration[0] < 0.0
-    jerk = dd.load(axis.deceleration_jerk) if falls else dd.load(axis.acceleration_jerk)
+    jerk = dd.load_pair(axis.deceleration_jerk) if falls else dd.load_pair(axis.acceleration_jerk)
     left = dd.scale(dd.divide(dd.multiply(acceleration, acceleration), jerk), 0.5)
     settled = dd.subtract(speed, left) if falls else dd.add(speed, left)
-    if dd.is_less(dd.load(axis.sv), settled):
-        return draft_speed_change(axis, speed, acceleration, dd.load(axis.sv))
+    if dd.is_less(dd.load_pair(axis.sv), settled):
+        return draft_speed_change(axis, speed, acceleration, dd.load_pair(axis.sv))
     return _draft_piece(
         axis, 0, dd.divide(_negate_if(acceleration, falls), jerk), acceleration, _negate_if(jerk, not falls)
     )
@@ -203,10 +203,10 @@ def begin_plan(axis, clock, clocks_after_origin, place, speed, acceleration):
         acceleration: Acceleration at that time.
     """
     axis.origin, axis.pieces, axis.end_time, axis.brake_piece = clock, 0, NEVER, MAX_PIECES
-    dd.store(axis.cursor[CURSOR_TIME], clocks_after_origin)
-    dd.store(axis.cursor[CURSOR_PLACE], place)
-    dd.store(axis.cursor[CURSOR_SPEED], speed)
-    dd.store(axis.cursor[CURSOR_ACCELERATION], acceleration)
+    dd.store_pair(axis.cursor[CURSOR_TIME], clocks_after_origin)
+    dd.store_pair(axis.cursor[CURSOR_PLACE], place)
+    dd.store_pair(axis.cursor[CURSOR_SPEED], speed)
+    dd.store_pair(axis.cursor[CURSOR_ACCELERATION], acceleration)
 
 
 @hot
@@ -221,17 +221,17 @@ def _append_open_piece(axis, phase, acceleration, jerk):
     """
     s = axis.pieces
     t, place, v = (
-        dd.load(axis.cursor[CURSOR_TIME]),
-        dd.load(axis.cursor[CURSOR_PLACE]),
-        dd.load(axis.cursor[CURSOR_SPEED]),
+        dd.load_pair(axis.cursor[CURSOR_TIME]),
+        dd.load_pair(axis.cursor[CURSOR_PLACE]),
+        dd.load_pair(axis.cursor[CURSOR_SPEED]),
     )
-    dd.store(axis.t[s], t)
+    dd.store_pair(axis.t[s], t)
     axis.from_clock[s] = -dd.floor(dd.add(dd.negate(t), (1e-15, 0.0)))
     axis.from_pulse[s] = dd.floor(place)
-    dd.store(axis.p[s], dd.subtract(place, dd.from_integer(axis.from_pulse[s])))
-    dd.store(axis.v[s], v)
-    dd.store(axis.a2[s], dd.scale(acceleration, 0.5))
-    dd.store(axis.j6[s], dd.divide(jerk, (6.0, 0.0)))
+    dd.store_pair(axis.p[s], dd.subtract(place, dd.to_double_double(axis.from_pulse[s])))
+    dd.store_pair(axis.v[s], v)
+    dd.store_pair(axis.a2[s], dd.scale(acceleration, 0.5))
+    dd.store_pair(axis.j6[s], dd.divide(jerk, (6.0, 0.0)))
     axis.piece_phase[s] = phase
     axis.pieces = s + 1
 
@@ -250,11 +250,11 @@ def _append_piece(axis, phase, duration, acceleration, jerk):
     if duration[0] <= 0.0:
         return
     _append_open_piece(axis, phase, acceleration, jerk)
-    distance, v = _integrate_piece(duration, dd.load(axis.cursor[CURSOR_SPEED]), acceleration, jerk)
-    dd.store(axis.cursor[CURSOR_TIME], dd.add(dd.load(axis.cursor[CURSOR_TIME]), duration))
-    dd.store(axis.cursor[CURSOR_PLACE], dd.add(dd.load(axis.cursor[CURSOR_PLACE]), distance))
-    dd.store(axis.cursor[CURSOR_SPEED], v)
-    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.add(acceleration, dd.multiply(jerk, duration)))
+    distance, v = _integrate_piece(duration, dd.load_pair(axis.cursor[CURSOR_SPEED]), acceleration, jerk)
+    dd.store_pair(axis.cursor[CURSOR_TIME], dd.add(dd.load_pair(axis.cursor[CURSOR_TIME]), duration))
+    dd.store_pair(axis.cursor[CURSOR_PLACE], dd.add(dd.load_pair(axis.cursor[CURSOR_PLACE]), distance))
+    dd.store_pair(axis.cursor[CURSOR_SPEED], v)
+    dd.store_pair(axis.cursor[CURSOR_ACCELERATION], dd.add(acceleration, dd.multiply(jerk, duration)))
 
 
 @hot
@@ -269,15 +269,15 @@ def append_speed_change(axis, goal_speed):
     for k in range(
         draft_speed_change(
             axis,
-            dd.load(axis.cursor[CURSOR_SPEED]),
-            dd.load(axis.cursor[CURSOR_ACCELERATION]),
+            dd.load_pair(axis.cursor[CURSOR_SPEED]),
+            dd.load_pair(axis.cursor[CURSOR_ACCELERATION]),
             goal_speed,
         )
     ):
         duration, a, jerk = _read_draft_piece(axis.drafted_pieces, k)
         _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
-    dd.store(axis.cursor[CURSOR_SPEED], goal_speed)
-    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    dd.store_pair(axis.cursor[CURSOR_SPEED], goal_speed)
+    dd.store_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
 
 
 @hot
@@ -287,10 +287,10 @@ def append_braking(axis):
     On chips with the S-curve failure the end of the deceleration is a piece of its own, area d of NOVA's notice.
     """
     axis.brake_piece = axis.pieces
-    n = draft_braking(axis, dd.load(axis.cursor[CURSOR_SPEED]), dd.load(axis.cursor[CURSOR_ACCELERATION]))
+    n = draft_braking(axis, dd.load_pair(axis.cursor[CURSOR_SPEED]), dd.load_pair(axis.cursor[CURSOR_ACCELERATION]))
     for k in range(n):
         duration, a, jerk = _read_draft_piece(axis.drafted_pieces, k)
-        dull = dd.load(axis.min_visible_acceleration)
+        dull = dd.load_pair(axis.min_visible_acceleration)
         if dull[0] > 0.0 and a[0] < 0.0 and jerk[0] > 0.0:
             calm = dd.minimum(dd.divide(dull, jerk), duration)
             before = dd.subtract(duration, calm)
@@ -298,9 +298,9 @@ def append_braking(axis):
             _append_piece(axis, AREA_D, calm, dd.add(a, dd.multiply(jerk, before)), jerk)
         else:
             _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
-    if n and dd.is_less(dd.load(axis.sv), dd.load(axis.cursor[CURSOR_SPEED])):  # but for rounding it is there
-        dd.store(axis.cursor[CURSOR_SPEED], dd.load(axis.sv))
-    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    if n and dd.is_less(dd.load_pair(axis.sv), dd.load_pair(axis.cursor[CURSOR_SPEED])):  # but for rounding it is there
+        dd.store_pair(axis.cursor[CURSOR_SPEED], dd.load_pair(axis.sv))
+    dd.store_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
     _append_constant_speed(axis)
 
 
@@ -316,8 +316,11 @@ def _append_constant_speed(axis):
 @hot
 def plan_stop(axis):
     """Plan a decelerating stop: to the initial speed, at which the drive ends."""
-    if dd.is_less(dd.load(axis.sv), dd.load(axis.cursor[CURSOR_SPEED])) or axis.cursor[CURSOR_ACCELERATION, 0] > 0.0:
-        append_speed_change(axis, dd.load(axis.sv))
+    if (
+        dd.is_less(dd.load_pair(axis.sv), dd.load_pair(axis.cursor[CURSOR_SPEED]))
+        or axis.cursor[CURSOR_ACCELERATION, 0] > 0.0
+    ):
+        append_speed_change(axis, dd.load_pair(axis.sv))
     _append_constant_speed(axis)
     axis.end_time = axis.from_clock[axis.pieces - 1]
 
@@ -337,11 +340,11 @@ def compute_triangle_speed(axis, pulses):
         pulses: Number of pulses of the drive.
     """
     up, down, low = (
-        dd.load(axis.acceleration),
-        dd.load(axis.deceleration),
-        dd.load(axis.sv),
+        dd.load_pair(axis.acceleration),
+        dd.load_pair(axis.deceleration),
+        dd.load_pair(axis.sv),
     )
-    square = dd.multiply(dd.from_integer(pulses), dd.divide(dd.multiply(up, down), dd.add(up, down)))
+    square = dd.multiply(dd.to_double_double(pulses), dd.divide(dd.multiply(up, down), dd.add(up, down)))
     return dd.square_root(dd.add(dd.multiply(low, low), square))
 
 
@@ -410,15 +413,15 @@ def plan_fixed_drive(axis, pulses, drive_speed):
         pulses: Pulses of the drive from its start, a double-double.
         drive_speed: Drive speed.
     """
-    v, a = dd.load(axis.cursor[CURSOR_SPEED]), dd.load(axis.cursor[CURSOR_ACCELERATION])
-    room = dd.subtract(pulses, dd.load(axis.cursor[CURSOR_PLACE]))
+    v, a = dd.load_pair(axis.cursor[CURSOR_SPEED]), dd.load_pair(axis.cursor[CURSOR_ACCELERATION])
+    room = dd.subtract(pulses, dd.load_pair(axis.cursor[CURSOR_PLACE]))
     if not dd.is_less(compute_braking_distance(axis, v, a), room):
         append_braking(axis)
         return
     n = draft_speed_change(axis, v, a, drive_speed)
     for k in range(n):
         for part in range(3):
-            dd.store(axis.stored_draft[k, part], dd.load(axis.drafted_pieces[k, part]))
+            dd.store_pair(axis.stored_draft[k, part], dd.load_pair(axis.drafted_pieces[k, part]))
     for k in range(n):
         duration, a, jerk = _read_draft_piece(axis.stored_draft, k)
         if _compute_overshoot(axis, duration, v, a, jerk, room)[0] > 0.0:
@@ -428,8 +431,8 @@ def plan_fixed_drive(axis, pulses, drive_speed):
         distance, v = _integrate_piece(duration, v, a, jerk)
         room = dd.subtract(room, distance)
         _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
-    dd.store(axis.cursor[CURSOR_SPEED], drive_speed)
-    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    dd.store_pair(axis.cursor[CURSOR_SPEED], drive_speed)
+    dd.store_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
     _append_piece(
         axis,
         CONSTANT,
@@ -453,8 +456,8 @@ def plan_braking_at(axis, pulses):
     s = axis.pieces - 1
     while s > 0 and axis.from_pulse[s] + (1 if axis.p[s, 0] > 0.0 else 0) > pulses:
         s -= 1
-    distance = dd.subtract(dd.from_integer(pulses - axis.from_pulse[s]), dd.load(axis.p[s]))
-    v, a2, j6 = dd.load(axis.v[s]), dd.load(axis.a2[s]), dd.load(axis.j6[s])
+    distance = dd.subtract(dd.to_double_double(pulses - axis.from_pulse[s]), dd.load_pair(axis.p[s]))
+    v, a2, j6 = dd.load_pair(axis.v[s]), dd.load_pair(axis.a2[s]), dd.load_pair(axis.j6[s])
     t = (compute_time_in_piece(axis, s, distance[0], 1e17), 0.0)
     for _ in range(3):
         off = dd.subtract(dd.multiply(t, dd.add(v, dd.multiply(t, dd.add(a2, dd.multiply(t, j6))))), distance)
@@ -464,10 +467,10 @@ def plan_braking_at(axis, pulses):
     a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
     speed = dd.add(v, dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))))
     axis.pieces = s + 1 if t[0] > 0.0 else s
-    dd.store(axis.cursor[CURSOR_TIME], dd.add(dd.load(axis.t[s]), t))
-    dd.store(axis.cursor[CURSOR_PLACE], dd.from_integer(pulses))
-    dd.store(axis.cursor[CURSOR_SPEED], speed)
-    dd.store(axis.cursor[CURSOR_ACCELERATION], a if axis.curved else dd.ZERO)
+    dd.store_pair(axis.cursor[CURSOR_TIME], dd.add(dd.load_pair(axis.t[s]), t))
+    dd.store_pair(axis.cursor[CURSOR_PLACE], dd.to_double_double(pulses))
+    dd.store_pair(axis.cursor[CURSOR_SPEED], speed)
+    dd.store_pair(axis.cursor[CURSOR_ACCELERATION], a if axis.curved else dd.ZERO)
     append_braking(axis)
 
 
@@ -475,11 +478,11 @@ def plan_braking_at(axis, pulses):
 def begin_plan_at(axis, clocks):
     """Begin a new plan `clocks` clocks after the origin, with the place, speed and acceleration of the drive at that time."""
     s = find_piece(axis, clocks)
-    t = dd.subtract(dd.from_integer(clocks), dd.load(axis.t[s]))
-    place = dd.add(dd.from_integer(axis.from_pulse[s]), compute_exact_place(axis, s, clocks))
-    a2, j6 = dd.load(axis.a2[s]), dd.load(axis.j6[s])
+    t = dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[s]))
+    place = dd.add(dd.to_double_double(axis.from_pulse[s]), compute_exact_place(axis, s, clocks))
+    a2, j6 = dd.load_pair(axis.a2[s]), dd.load_pair(axis.j6[s])
     v = dd.add(
-        dd.load(axis.v[s]),
+        dd.load_pair(axis.v[s]),
         dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))),
     )
     a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))

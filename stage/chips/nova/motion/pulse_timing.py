@@ -38,7 +38,7 @@ def compute_exact_place(axis, piece, clocks):
     Returns:
         Pulses after `axis.from_pulse[piece]`, the whole pulses at which the piece began; a double-double.
     """
-    t = dd.subtract(dd.from_integer(clocks), (axis.t[piece, 0], axis.t[piece, 1]))
+    t = dd.subtract(dd.to_double_double(clocks), (axis.t[piece, 0], axis.t[piece, 1]))
     r = dd.add((axis.a2[piece, 0], axis.a2[piece, 1]), dd.multiply(t, (axis.j6[piece, 0], axis.j6[piece, 1])))
     r = dd.add((axis.v[piece, 0], axis.v[piece, 1]), dd.multiply(t, r))
     return dd.add((axis.p[piece, 0], axis.p[piece, 1]), dd.multiply(t, r))

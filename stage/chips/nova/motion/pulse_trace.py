@@ -152,13 +152,15 @@ def _find_even_spacing(axis, piece, pulse_number, clocks):
     axis.even_pps = NOT_EVEN
     if axis.a2[piece, 0] != 0.0 or axis.j6[piece, 0] != 0.0 or clocks >= NEVER:
         return
-    hz = dd.from_integer(CLOCKS_PER_SECOND)
+    hz = dd.to_double_double(CLOCKS_PER_SECOND)
     speed = dd.multiply((axis.v[piece, 0], axis.v[piece, 1]), hz)
     pps = dd.floor(dd.add(speed, (0.5, 0.0)))
-    if pps < 1 or abs(dd.subtract(speed, dd.from_integer(pps))[0]) > 1e-29 * pps:
+    if pps < 1 or abs(dd.subtract(speed, dd.to_double_double(pps))[0]) > 1e-29 * pps:
         return
     over = dd.add(
-        dd.subtract(compute_exact_place(axis, piece, clocks), dd.from_integer(pulse_number - axis.from_pulse[piece])),
+        dd.subtract(
+            compute_exact_place(axis, piece, clocks), dd.to_double_double(pulse_number - axis.from_pulse[piece])
+        ),
         (PLACE_TOLERANCE, 0.0),
     )
     rest = dd.floor(dd.multiply(over, hz))

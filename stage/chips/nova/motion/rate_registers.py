@@ -19,11 +19,11 @@ def has_profile(axis):
 @hot
 def _divide_integers(dividend, divisor):
     """Return the quotient of two integers as a double-double."""
-    return dd.divide(dd.from_integer(dividend), dd.from_integer(divisor))
+    return dd.divide(dd.to_double_double(dividend), dd.to_double_double(divisor))
 
 
 @hot
-def convert_speed(chip, axis, value):
+def convert_speed_to_pulses_per_clock(chip, axis, value):
     """Convert a speed parameter to pulses per clock.
 
     A value beyond its range counts as the end of the range, so that two pulses never begin at once.
@@ -37,8 +37,8 @@ def convert_speed(chip, axis, value):
         return _divide_integers(least(greatest(value, 1), RANGE), CLOCKS_PER_SECOND)
     fastest = RANGE // 1000
     return dd.divide(
-        dd.from_integer(least(greatest(value, 1), fastest) * RANGE),
-        dd.from_integer(CLOCKS_PER_SECOND * _clip_range(axis)),
+        dd.to_double_double(least(greatest(value, 1), fastest) * RANGE),
+        dd.to_double_double(CLOCKS_PER_SECOND * _clip_range(axis)),
     )
 
 
@@ -49,30 +49,33 @@ def _clip_range(axis):
 
 
 @hot
-def _convert_acceleration(chip, axis, value):
+def _convert_acceleration_to_pulses_per_clock2(chip, axis, value):
     """Convert an acceleration parameter to pulses per clock squared."""
     if chip.variant == state.MCX514_TYPE:
-        return dd.divide(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND))
+        return dd.divide(
+            _divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.to_double_double(CLOCKS_PER_SECOND)
+        )
     return dd.divide(
         dd.divide(
-            dd.from_integer(125 * greatest(value, 1) * RANGE), dd.from_integer(CLOCKS_PER_SECOND * _clip_range(axis))
+            dd.to_double_double(125 * greatest(value, 1) * RANGE),
+            dd.to_double_double(CLOCKS_PER_SECOND * _clip_range(axis)),
         ),
-        dd.from_integer(CLOCKS_PER_SECOND),
+        dd.to_double_double(CLOCKS_PER_SECOND),
     )
 
 
 @hot
-def _convert_jerk(chip, axis, value):
+def _convert_jerk_to_pulses_per_clock3(chip, axis, value):
     """Convert a jerk parameter to pulses per clock cubed."""
     if chip.variant == state.MCX514_TYPE:
         return dd.divide(
-            dd.divide(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND)),
-            dd.from_integer(CLOCKS_PER_SECOND),
+            dd.divide(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.to_double_double(CLOCKS_PER_SECOND)),
+            dd.to_double_double(CLOCKS_PER_SECOND),
         )
-    up = dd.divide(dd.from_integer(62_500_000 * RANGE), dd.from_integer(greatest(value, 1) * _clip_range(axis)))
+    up = dd.divide(dd.to_double_double(62_500_000 * RANGE), dd.to_double_double(greatest(value, 1) * _clip_range(axis)))
     return dd.divide(
-        dd.divide(dd.divide(up, dd.from_integer(CLOCKS_PER_SECOND)), dd.from_integer(CLOCKS_PER_SECOND)),
-        dd.from_integer(CLOCKS_PER_SECOND),
+        dd.divide(dd.divide(up, dd.to_double_double(CLOCKS_PER_SECOND)), dd.to_double_double(CLOCKS_PER_SECOND)),
+        dd.to_double_double(CLOCKS_PER_SECOND),
     )
 
 
@@ -107,23 +110,30 @@ def load_drive_speed(chip, axis, value):
         axis: State of the axis.
         value: Value of DV or V.
     """
-    dd.store(axis.dv, convert_speed(chip, axis, axis.reg[state.HV] if axis.drives_at_hv else value))
+    dd.store_pair(
+        axis.dv, convert_speed_to_pulses_per_clock(chip, axis, axis.reg[state.HV] if axis.drives_at_hv else value)
+    )
 
 
 @hot
 def load_rates(chip, axis):
     """Set the initial speed, accelerations and jerks of the plan from the registers, at the start of a drive."""
-    dd.store(axis.sv, convert_speed(chip, axis, axis.reg[state.SV]))
-    dd.store(axis.acceleration, _convert_acceleration(chip, axis, axis.reg[state.AC]))
-    dd.store(
+    dd.store_pair(axis.sv, convert_speed_to_pulses_per_clock(chip, axis, axis.reg[state.SV]))
+    dd.store_pair(axis.acceleration, _convert_acceleration_to_pulses_per_clock2(chip, axis, axis.reg[state.AC]))
+    dd.store_pair(
         axis.deceleration,
-        _convert_acceleration(chip, axis, axis.reg[state.DC] if axis.asymmetric else axis.reg[state.AC]),
+        _convert_acceleration_to_pulses_per_clock2(
+            chip, axis, axis.reg[state.DC] if axis.asymmetric else axis.reg[state.AC]
+        ),
     )
     jerk = axis.reg[state.JK] if chip.variant == state.MCX514_TYPE else axis.reg[state.K]
     other = axis.reg[state.DJ] if chip.variant == state.MCX514_TYPE else axis.reg[state.L] if chip.has_l else jerk
-    dd.store(axis.acceleration_jerk, _convert_jerk(chip, axis, jerk))
-    dd.store(axis.deceleration_jerk, _convert_jerk(chip, axis, other if axis.asymmetric else jerk))
+    dd.store_pair(axis.acceleration_jerk, _convert_jerk_to_pulses_per_clock3(chip, axis, jerk))
+    dd.store_pair(
+        axis.deceleration_jerk, _convert_jerk_to_pulses_per_clock3(chip, axis, other if axis.asymmetric else jerk)
+    )
     axis.curved = axis.s_curve
-    dd.store(
-        axis.min_visible_acceleration, _convert_acceleration(chip, axis, 1) if chip.errata and axis.fixed else dd.ZERO
+    dd.store_pair(
+        axis.min_visible_acceleration,
+        _convert_acceleration_to_pulses_per_clock2(chip, axis, 1) if chip.errata and axis.fixed else dd.ZERO,
     )
