@@ -33,14 +33,14 @@ class EnvSnapshot(snapshots.Snapshot):
     of: ClassVar = "an environment"
 
 
-def make_header(task: Task) -> snapshots.Header:
+def make_header(task: Task) -> snapshots.SnapshotHeader:
     """Return the description of a task's environment, which its snapshots carry, and make it at the first call."""
     if task.header is None:
         task.header = _describe_task(task)
     return task.header
 
 
-def _describe_task(task: Task) -> snapshots.Header:
+def _describe_task(task: Task) -> snapshots.SnapshotHeader:
     """Describe a task by its class, its number of stages, its settings and its model."""
     parts = [("environment", type(task).__name__), ("stages", str(task.n))]
     for f in fields(task.config):
@@ -50,7 +50,7 @@ def _describe_task(task: Task) -> snapshots.Header:
         elif f.name == "model" and not isinstance(value, str | None):
             continue  # the header of the stage describes its mechanics
         parts.append((f"setting {f.name}", repr(value)))
-    return snapshots.Header((*parts, *task.start.header.parts))
+    return snapshots.SnapshotHeader((*parts, *task.start.header.parts))
 
 
 def take_snapshot(task: Task, more: Any) -> EnvSnapshot:

@@ -61,7 +61,7 @@ from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.firmware.driver import Speeds, get_driver
 from stage.sim.fleet import Fleet, PlayedPrograms
-from stage.sim.named_points import find_judged_point
+from stage.sim.payload_and_judged_point import find_judged_point
 from stage.sim.program import Program
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
@@ -304,7 +304,7 @@ class FewShotTuning(MachineTask[Config]):
 
     @property
     def usual_times_s(self) -> np.ndarray:
-        """Duration of each stage's move at the usual speeds, s, (n,), in closed form."""
+        """Duration of each stage's move with the default rates and ramps of `Speeds()`, s, (n,), in closed form."""
         return compute_move_time(self.distance, Speeds().start, Speeds().drive, Speeds().up)
 
     def decode_action(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:

@@ -37,7 +37,7 @@ from stage.envs.settings import (
 )
 from stage.envs.task import ConfigT, MoveTask
 from stage.errors import ArgumentError, unknown_name_error
-from stage.sim.named_points import find_payload_body
+from stage.sim.payload_and_judged_point import find_payload_body
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ from stage.errors import unknown_name_error
 from stage.firmware.driver import get_driver
 from stage.sim.engine_records import INDEX
 from stage.sim.fleet import PlayedPrograms
-from stage.sim.named_points import find_payload_body
+from stage.sim.payload_and_judged_point import find_payload_body
 from stage.sim.program import Program
 from stage.support import portable_math
 

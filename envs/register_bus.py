@@ -342,7 +342,7 @@ class RegisterBus(Task[Config]):
                 return
         super().set_action(stage_index, action)
 
-    def play(self) -> None:
+    def play_actions(self) -> None:
         watched = self.fleet.list_python_stages()
         if not watched:
             self.fleet.run_on_threads(self._step_stages)
@@ -374,7 +374,7 @@ class RegisterBus(Task[Config]):
         core.conclude_steps.c(self._address, begin, end, fresh, *self._rows)
 
     def update_observations(self) -> None:
-        """Do nothing: `begin_episode` and `play` have already updated the observations."""
+        """Do nothing: `begin_episode` and `play_actions` have already updated the observations."""
 
 
 class RegisterBusEnv(StageEnv):

@@ -37,7 +37,7 @@ from stage.envs.single_moves import TENTH_MM, MoveTrial
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
 from stage.sim.fleet import PlayedPrograms
-from stage.sim.named_points import find_judged_point
+from stage.sim.payload_and_judged_point import find_judged_point
 from stage.sim.program import END, Program
 
 

@@ -21,7 +21,7 @@ from stage.envs.settings import NumberSetting
 from stage.envs.step_results import DIVERGED as DIVERGED
 from stage.envs.task import MoveTask, Task, check_action, make_config
 from stage.errors import ArgumentError, unknown_name_error
-from stage.support.snapshots import Header
+from stage.support.snapshots import SnapshotHeader
 
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
 FPS = 30  # frames in a second of simulated time
@@ -85,7 +85,7 @@ class _TaskAccess:
         return (*self._task.INFO,)
 
     @property
-    def header(self) -> Header:
+    def header(self) -> SnapshotHeader:
         """Description of the environment that its snapshots carry."""
         return env_snapshots.make_header(self._task)
 
@@ -205,9 +205,9 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         """Play one step of the task, and collect its frames for `render`."""
         task = self._task
         if self.render_mode is None:
-            task.play()
+            task.play_actions()
         elif not isinstance(task, MoveTask):
-            task.play()
+            task.play_actions()
             if self._frame_interval is None or self.stage.time >= self._last_frame_time + self._frame_interval - 1e-9:
                 self._last_frame_time = self.stage.time
                 self._add_frames(self.stage.data.qpos[None], None)
@@ -218,13 +218,13 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
     def _film_move(self) -> np.ndarray:
         """Play a whole move, and return the joint positions of its frames, (frames, nq); the last frame is the end of the move."""
         if self.render_mode == "rgb_array":
-            self._task.play()
+            self._task.play_actions()
             return self.stage.data.qpos[None]
         from stage.envs.rendering import PoseSampler
 
         begin, sampler = self.stage.data.qpos.copy(), PoseSampler(self.stage, self._frame_interval or 1 / FPS)
         try:
-            self._task.play()
+            self._task.play_actions()
         finally:
             frames = sampler.finish()
         is_noted = self._frames and (begin == self._frames[-1]).all()
@@ -386,7 +386,7 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
             infos = self._add_info(infos, task.reset_info(k), k)
         rewards, ends = np.zeros(self.num_envs), np.zeros((2, self.num_envs), bool)
         if active.any():
-            task.play()
+            task.play_actions()
             rewards[active] = task.results["reward"][active]
             ends[:, active] = task.results["terminated"][active], task.results["truncated"][active]
             _merge_info_columns(infos, task.results.read_columns(active))

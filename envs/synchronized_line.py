@@ -56,7 +56,7 @@ from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
 from stage.firmware.line_programs import LineMoves
 from stage.sim.fleet import Fleet, PlayedPrograms
-from stage.sim.named_points import find_judged_point
+from stage.sim.payload_and_judged_point import find_judged_point
 from stage.sim.program import MEASURE
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
@@ -217,7 +217,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     @property
     def usual_times_s(self) -> np.ndarray:
-        """Duration of each stage's line at the usual rate, s, (n,)."""
+        """Duration of each stage's line with the default rates and ramps of `Speeds()`, s, (n,)."""
         s = Speeds()
         return compute_move_time(np.abs(self.distances).max(axis=1).astype(float), s.start, s.drive, s.up)
 

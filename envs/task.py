@@ -27,7 +27,7 @@ ConfigT = TypeVar("ConfigT")
 class Task(ABC, Generic[ConfigT]):
     """Rules that a scalar and a vector environment share, for n stages at once.
 
-    A subclass sets the class attributes, and implements `make_stage`, `make_spaces_and_arrays`, `begin_episode`, `play` and
+    A subclass sets the class attributes, and implements `make_stage`, `make_spaces_and_arrays`, `begin_episode`, `play_actions` and
     `update_observations`. The first index of every array is the stage. Arrays stay at their address, because compiled code may use
     them. The values of a stage do not depend on the number of stages.
 
@@ -116,7 +116,7 @@ class Task(ABC, Generic[ConfigT]):
         """
 
     @abstractmethod
-    def play(self) -> None:
+    def play_actions(self) -> None:
         """Play `actions` on the `active` stages, of which there is at least one; fill `results` and count `steps`."""
 
     def apply_machine(self, stage_index: int) -> None:
@@ -245,14 +245,15 @@ class MoveTask(Task[ConfigT]):
 
     @abstractmethod
     def compute_observations(self) -> np.ndarray:
-        """Compute the observation of every stage as with truth=True, (n, numbers)."""
+        """Compute all numbers of every stage's observation, (n, numbers), also those that only `truth=True` makes visible."""
 
     def make_observation_space(self) -> gymnasium.spaces.Box:
         """Make the observation space for the numbers that the setting `truth` leaves visible."""
         self.visible = np.array(list_visible(self.list_all_features(), self.truth))
         return gymnasium.spaces.Box(-1.0, 1.0, (int(self.visible.sum()),), np.float32)
 
-    def play(self) -> None:
+    def play_actions(self) -> None:
+        """Play the program of each active stage's action, a move, and judge the results."""
         active, programs = self.active, self.make_programs()
         if isinstance(programs, np.ndarray):
             programs[~active] = 0

@@ -23,7 +23,7 @@ from stage.envs.settings import read_option
 from stage.envs.single_moves import StartPositions
 from stage.envs.task import MoveTask
 from stage.errors import unknown_name_error
-from stage.sim.named_points import find_payload_body
+from stage.sim.payload_and_judged_point import find_payload_body
 from stage.sim.program import Program
 from stage.support import portable_math
 

@@ -18,7 +18,7 @@ from stage.chips.chip import Diagnostic
 from stage.cli import build_parser, demo, home, listing, main, move, output_files, stage_setup, terminal
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
-from stage.cli.options import Quantity
+from stage.cli.options import NumberWithUnit
 from stage.cli.run import print_report
 from stage.firmware.driver import Speeds, get_default_speeds, get_driver
 from stage.recording import rerun_viewer
@@ -51,7 +51,11 @@ def test_each_help_text_states_the_actual_default():
     for name, parser in list_parsers().items():
         for action in parser._actions:
             match = re.search(r"\(default: ([\w.,-]+)\)", action.help or "")
-            if match and (action.type in (int, float) or isinstance(action.type, Quantity)) and action.dest != "start":
+            if (
+                match
+                and (action.type in (int, float) or isinstance(action.type, NumberWithUnit))
+                and action.dest != "start"
+            ):
                 checked += 1
                 assert float(match[1].replace(",", "")) == action.default, (name, action.dest)
     assert checked >= 30

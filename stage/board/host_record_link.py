@@ -16,7 +16,7 @@ import numpy as np
 
 from stage.board.bus import host_record, requests
 from stage.board.errors import HostError, StormError
-from stage.board.interrupt_hooks import InterruptHooks
+from stage.board.interrupt_hooks import PythonInterruptHooks
 from stage.board.memory_mapped_ports import explain_missing_windows
 from stage.errors import StageError
 from stage.native import without_attributes
@@ -70,7 +70,7 @@ class Link:
         }  # fmt: skip
         self.request: Any = requests.request.pointer
         self._make_record()
-        self.hooks = InterruptHooks(self)
+        self.hooks = PythonInterruptHooks(self)
 
     @property
     def traced(self) -> int:

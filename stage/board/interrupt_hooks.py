@@ -1,4 +1,4 @@
-"""`InterruptHooks`: the Python side of the interrupt controller in stage.board.bus.interrupts.
+"""`PythonInterruptHooks`: the Python side of the interrupt controller in stage.board.bus.interrupts.
 
 It keeps the table of sources and the hooks that are Python functions. A hook in Python cannot be interrupted: it runs at the
 highest level, whatever the level of its source.
@@ -24,8 +24,8 @@ HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 PYTHONS_TIMERS = range(interrupts.FIRST_PYTHON_TIMER, interrupts.FIRST_PYTHON_TIMER + interrupts.PYTHON_TIMERS)
 
 
-class InterruptHooks:
-    """Interrupt sources of one board, and the hooks in Python.
+class PythonInterruptHooks:
+    """Table of the interrupt sources of one board, and the Python functions (hooks) that the board calls for their interrupts.
 
     Attributes:
         sources: SOURCE records.

@@ -138,7 +138,7 @@ def _iterate_cycles(
 
 
 def _iterate_polls(lines: np.ndarray, variable: Any) -> Iterator[Any]:
-    """Yield 1 when repeated reads of at least one port begin, and 0 when none continues."""
+    """Yield (time, variable, 1) when repeated reads of at least one port begin, (time, variable, 0) when the last of them end."""
     lines = lines[lines["count"] > 2]
     steps = heapq.merge(((t, 1) for t in lines["first"].tolist()), ((t, -1) for t in np.sort(lines["last"]).tolist()))
     depth = 0

@@ -52,30 +52,30 @@ def add_subcommand(commands: Any) -> None:
 
 @dataclass(frozen=True)
 class ErratumResult:
-    """Result of the demonstration: the run with command 26h alone, and the run with the work-around.
+    """Result of the demonstration. Each pair has the run with command 26h alone first, and then the run with the work-around.
 
     Attributes:
         chip: Name of the chip.
-        mended: Whether the chip does not have the failure.
-        figures: Measured values of the two runs; those whose names end in mm are in meters or radians.
-        recordings: Recordings of the two runs, or None.
+        lacks_erratum: Whether the chip does not have the failure at all (`errata=False`).
+        figures: Measured values of each run; those whose names end in mm are in meters or radians.
+        recordings: Recording of each run, or None.
         unit: Unit of lengths: "m", or "rad" if the axis is a hinge.
     """
 
     chip: str
-    mended: bool
+    lacks_erratum: bool
     figures: tuple[Figures, Figures]
     recordings: tuple[Any, Any] = field(repr=False)
     unit: str = "m"
 
     @property
     def as_claimed(self) -> bool:
-        """Verdict: with 26h alone the axis runs away, except on a mended chip, and the work-around ends on the target."""
+        """True if the axis runs away with 26h alone (unless `lacks_erratum`), and stops on the target with the work-around."""
         bare, guarded = self.figures
         good = [
             f["n-DRV 2 s later"] == 0 and f["pulses past the target"] == 0 == f["lost steps"] for f in (bare, guarded)
         ]
-        return good[1] and (good[0] if self.mended else bare["n-DRV 2 s later"] == 1 and bare["lost steps"] > 0)
+        return good[1] and (good[0] if self.lacks_erratum else bare["n-DRV 2 s later"] == 1 and bare["lost steps"] > 0)
 
     def format_table(self) -> str:
         """Return the measured values of both runs, a line for each."""
@@ -97,11 +97,10 @@ def run(args: argparse.Namespace) -> int:
         check_outputs(named)
     first, second = (partial(record_for_plot, named, interval=SAMPLE_INTERVAL_S) for named in both)
     result = run_demonstration(partial(_make_stage, args), (first, second))
-    print(
-        f"{result.chip}{', mended' if result.mended else ''}: a decelerating stop is commanded in area d\n\n{result.format_table()}"
-    )
+    name = f"{result.chip}{', mended' if result.lacks_erratum else ''}"
+    print(f"{name}: a decelerating stop is commanded in area d\n\n{result.format_table()}")
     bare, guarded = result.figures
-    facts = {"chip": result.chip, "mended": result.mended, "as_claimed": result.as_claimed}
+    facts = {"chip": result.chip, "mended": result.lacks_erratum, "as_claimed": result.as_claimed}
     add_facts(args, facts | {"26h": bare, "stop_by_speed": guarded})
     draw_plot(args, result.plot)
     print("as claimed" if result.as_claimed else "NOT as claimed")

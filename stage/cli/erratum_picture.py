@@ -48,7 +48,7 @@ def draw_erratum_plot(result: ErratumResult, path: str | None, overwrite: bool) 
     rate.set_ylim(top=1.12 * pps.max())
     initial = float(np.interp(areas["a"][0] + 1e-3, time, pps))
     close.set_ylim(0.97 * initial, 1.08 * initial)
-    letters = {area: sum(areas[area]) / 2 for area in "abc"} | ({} if result.mended else {"e": end + 0.9})
+    letters = {area: sum(areas[area]) / 2 for area in "abc"} | ({} if result.lacks_erratum else {"e": end + 0.9})
     for area, when in letters.items():
         rate.annotate(area, (when, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", color=TEXT_COLOR)
     for area, when in {"c": begin - CLOSE_UP_S / 2, "d": (begin + end) / 2, "e": end + CLOSE_UP_S / 2}.items():
@@ -59,7 +59,7 @@ def draw_erratum_plot(result: ErratumResult, path: str | None, overwrite: bool) 
     place.set(ylabel=f"position ({unit.symbol})", xlabel="time (s)")
     lanes.set(xlabel="time (s)")
     titles = {
-        rate: f"{result.chip}{', mended' if result.mended else ''}: the drive",
+        rate: f"{result.chip}{', mended' if result.lacks_erratum else ''}: the drive",
         close: "The end of the deceleration; shaded: area d, up to 26h",
         place: "The carriage; dotted: what the pulses say",
         lanes: "RR1 and n-DRV after 26h in area d",

@@ -17,8 +17,8 @@ CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", 
 # --- types of values ---
 
 
-class Quantity:
-    """Type of an option's value: a number with a unit of one kind, which is a key of OTHER_FACTORS.
+class NumberWithUnit:
+    """Parser of an option's value for argparse: a number with a unit of one kind, which is a key of OTHER_FACTORS.
 
     A number without unit is in SI units; a pulse rate without unit is in pps.
     """
@@ -41,8 +41,8 @@ class Quantity:
         return value
 
 
-class IntegerQuantity(Quantity):
-    """Type of an option's value: an integer with a unit; it may also be written as 0x300."""
+class IntegerWithUnit(NumberWithUnit):
+    """Parser of an option's value for argparse: an integer with a unit; it may also be written as 0x300."""
 
     def __call__(self, text: str) -> int:
         """Parse a whole number with or without a unit."""
@@ -55,9 +55,9 @@ class IntegerQuantity(Quantity):
         return round(value)
 
 
-RATE, DURATION = Quantity("pulse rate", positive=True), Quantity("time", positive=True)
-TIME, VOLTAGE, MASS, FREQUENCY = map(Quantity, ("time", "voltage", "mass", "frequency"))
-HERTZ = IntegerQuantity("frequency")
+RATE, DURATION = NumberWithUnit("pulse rate", positive=True), NumberWithUnit("time", positive=True)
+TIME, VOLTAGE, MASS, FREQUENCY = map(NumberWithUnit, ("time", "voltage", "mass", "frequency"))
+HERTZ = IntegerWithUnit("frequency")
 
 
 def parse_integer(text: str) -> int:
@@ -254,11 +254,11 @@ def add_panel_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--panel-port", type=parse_port, default=7241, help="TCP port; 0 chooses a free one (default: 7241)"
     )
-    add_page_options(group)
+    add_live_page_options(group)
 
 
-def add_page_options(group: Any) -> None:
-    """Add the options that every live page has."""
+def add_live_page_options(group: Any) -> None:
+    """Add the options that every live page has: --no-browser and --speed."""
     group.add_argument("--no-browser", action="store_true", help="print the link instead of opening a browser")
     group.add_argument(
         "--speed", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)"

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from stage.cli.commands import add_command
-from stage.cli.options import add_model_argument, add_page_options, add_stage_options, parse_port
+from stage.cli.options import add_live_page_options, add_model_argument, add_stage_options, parse_port
 from stage.cli.stage_setup import make_stage
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def add_subcommand(commands: Any) -> None:
         help="address to listen on; other than at 127.0.0.1, whoever has the link with its token can reach the page "
         "(default: 127.0.0.1)",
     )  # fmt: skip
-    add_page_options(g)
+    add_live_page_options(g)
     g.add_argument("--paused", action="store_true", help="begin paused")
     g.add_argument(
         "--open", metavar="FILE",

@@ -1,4 +1,4 @@
-"""`Bench`: chips on one bus and one time line, without a stage. Firmware runs on it unchanged and takes milliseconds.
+"""`Bench`: chips on one bus and one time line, without a machine. Firmware runs on it unchanged and takes milliseconds.
 
     bench = Bench(PCL240K())                                     one chip, its axis is "x"; or Bench(x=..., y=...)
     bench.add_rail("x", at=9000, org=(None, 0), el_minus=(None, -1600))

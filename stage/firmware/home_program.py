@@ -34,7 +34,7 @@ class HomeProgram(ABC):
     """Origin return towards minus as a program, which cannot branch.
 
     Attributes:
-        choices: Ranges of the numbers that the user chooses, in the order of a row.
+        choices: Names and ranges of the parameters that the user chooses, in the order of a row.
         result_indices: Indices of the operations whose results `read_results` needs, by name; equal for every program.
     """
 
@@ -46,7 +46,7 @@ class HomeProgram(ABC):
         """Write the program of a complete origin return.
 
         Args:
-            row: Numbers in the order of `choices`.
+            row: Value of each parameter in `choices`, in its order, integers.
 
         Returns:
             The program.
@@ -55,7 +55,7 @@ class HomeProgram(ABC):
     def find_nearest_row(
         self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
     ) -> list[int]:
-        """Return the choices that come closest to the rates and pulses of a user, as a row.
+        """Return the values of the parameters in `choices` that come closest to the rates and pulses of a user.
 
         Args:
             fl: Start rate, pps.
@@ -74,7 +74,7 @@ class HomeProgram(ABC):
         )
 
     def _round_to_ranges(self, wanted: Mapping[str, float]) -> list[int]:
-        """Return the row with these numbers, rounded and clipped to their ranges."""
+        """Return the values of the parameters in `choices`, in its order, rounded and clipped to their ranges."""
         ranges = self.choices.ranges.items()
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
@@ -84,7 +84,7 @@ class HomeProgram(ABC):
 
         Args:
             results: Results of the programs, shape (stages, operations).
-            rows: Choices with which the programs were written, shape (stages, choices).
+            rows: Values of the parameters with which the programs were written, shape (stages, parameters).
 
         Returns:
             Results of all stages.

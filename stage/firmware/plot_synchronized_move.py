@@ -21,7 +21,9 @@ MARGIN_PULSES = 5.5  # pulses to either side of the farthest point
 RATE_BINS = 300
 
 
-def draw_path(report: SynchronizedReport, path: Any = None, title: str | None = None, overwrite: bool = False) -> Any:
+def draw_synchronized_move(
+    report: SynchronizedReport, path: Any = None, title: str | None = None, overwrite: bool = False
+) -> Any:
     """Draw a report of several axes, see `SynchronizedReport.plot`.
 
     Args:

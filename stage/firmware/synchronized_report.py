@@ -120,9 +120,9 @@ class SynchronizedReport:
         Raises:
             FileError: The file exists, and `overwrite` is False.
         """
-        from stage.firmware.plot_path import draw_path
+        from stage.firmware.plot_synchronized_move import draw_synchronized_move
 
-        return draw_path(self, path, title, overwrite)
+        return draw_synchronized_move(self, path, title, overwrite)
 
 
 class LineObserver:

@@ -335,26 +335,33 @@ def save_panel(panel: Panel) -> bytes:
             file.writestr(f"{name}.snapshot", _save_to_bytes(snapshot))
         for name, text in texts.items():
             file.writestr(name, text)
-        ending, data = _export_last_minute(panel)
-        if data:
-            file.writestr(f"recording.{ending}", data)
+        recording = _export_last_minute(panel)
+        if recording is not None:
+            file.writestr(f"recording.{recording.file_ending}", recording.content)
     return out.getvalue()
 
 
-def _export_last_minute(panel: Panel) -> tuple[str, bytes]:
-    """Return the samples of the last minute as a file: its name ending and its bytes, or "" and no bytes without samples."""
+class _ExportedRecording(NamedTuple):
+    """Samples as a file."""
+
+    file_ending: str
+    """Ending of the file's name, "rrd" or "csv"."""
+    content: bytes
+
+
+def _export_last_minute(panel: Panel) -> _ExportedRecording | None:
+    """Export the samples of the last minute; return None if there are none."""
     sampler = panel.sampler
     names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in RECORDED]
     for ending in ("rrd", "csv"):
         try:
-            return ending, oscilloscope.FORMATS[ending](
-                sampler, names, sampler.last_time - MAX_AGE_S, sampler.last_time
-            )
+            content = oscilloscope.FORMATS[ending](sampler, names, sampler.last_time - MAX_AGE_S, sampler.last_time)
+            return _ExportedRecording(ending, content) if content else None
         except ExtraMissing:
             continue
         except ArgumentError:
             break
-    return "", b""
+    return None
 
 
 def _save_to_bytes(snapshot: Snapshot) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from stage.sim.stage import Snapshot, Stage
-from stage.support.snapshots import Header
+from stage.support.snapshots import SnapshotHeader
 
 MAX_AGE_S = 30.0  # simulated seconds that a session can go back
 INTERVAL_S = 0.05  # simulated seconds between two snapshots
@@ -38,7 +38,7 @@ class SnapshotHistory:
         oldest = snapshots[0][1] if snapshots else None
         return next((snapshot for time, snapshot in reversed(snapshots) if time <= goal), oldest)
 
-    def find_oldest_of(self, header: Header) -> Snapshot | None:
+    def find_oldest_of(self, header: SnapshotHeader) -> Snapshot | None:
         """Return the oldest snapshot since which the machine has had this `header`; None if the newest snapshot has another one."""
         oldest = None
         for _, snapshot in reversed(self._snapshots):

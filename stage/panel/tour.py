@@ -32,15 +32,15 @@ class AxisRun:
     Attributes:
         rates: Pulse rates without sign, pps, every SAMPLE_TIME_S.
         begin, end: Times of the first and the last pulse, s.
-        org: Whether the origin switch was on meanwhile.
-        is_earlier: Whether the motion began before the present step of the tour.
+        saw_org: Whether the origin switch ORG was on at any time of the motion.
+        began_before_step: Whether the motion began before the present step of the tour.
     """
 
     rates: list[float] = field(default_factory=list)
     begin: float = 0.0
     end: float = 0.0
-    org: bool = False
-    is_earlier: bool = False
+    saw_org: bool = False
+    began_before_step: bool = False
 
     def list_plateaus(self) -> list[float]:
         """Return the rates, pps, at which the motion was constant for a while, in order of time."""
@@ -117,7 +117,7 @@ class Tour:
         self.finished, self.lost = [], False
         self._lost_at_first.clear()
         for run in self._running_axes.values():
-            run.is_earlier = True
+            run.began_before_step = True
 
     def _follow_axis(self, axis: Axis, now: float) -> None:
         _, net = axis.read_drive()
@@ -143,14 +143,14 @@ class Tour:
             if not rate:
                 return
             run = self._running_axes[axis.name] = AxisRun(begin=then)
-        run.org |= bool(axis.switches.as_dict().get("org"))
+        run.saw_org |= bool(axis.switches.as_dict().get("org"))
         if rate:
             run.rates.append(rate)
             del run.rates[:-MAX_RATES]
             run.end = now
         elif now - run.end >= QUIET_TIME_S:
             del self._running_axes[axis.name]
-            if not run.is_earlier:
+            if not run.began_before_step:
                 self.finished.append((axis.name, run))
                 del self.finished[:-MAX_RUNS]
 
@@ -201,7 +201,7 @@ STEPS = (
         "Origin return",
         "After lost steps nobody knows where the carriage is. Find the origin again: Home.",
         "Origin return, home position search: the chip drives until the ORG (home, STOP) input becomes active.",
-        lambda tour: any(run.org for _, run in tour.finished),
+        lambda tour: any(run.saw_org for _, run in tour.finished),
     ),
     Step(
         "Dual rate",

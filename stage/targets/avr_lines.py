@@ -131,7 +131,7 @@ class AvrLines:
             pulled["request"] = encode_ioctl_request("iop" + avr_core.PORTS[port])
             pulled["pulls"] |= 1 << (_PULL_MASK + bit) | inverted << (avr_core.PULL_VALUE + bit)
         for port, pulled in zip(ports, self._pulled, strict=True):
-            avr.control_port(int(pulled["request"]), addresses[port])
+            avr.call_avr_ioctl(int(pulled["request"]), addresses[port])
         for row in self._read:
             avr.raise_irq(int(row["irq"]), int(row["level"]))
 

@@ -332,7 +332,7 @@ class LoadedAvr:
         return int(irq)
 
     def has_port(self, port: int) -> bool:
-        """Tell whether this AVR has a port, by its number in PORTS."""
+        """Return whether this AVR has an I/O port, by its number in PORTS."""
         return bool(self._get_port_irq(port, 0))
 
     def _get_port_irq(self, port: int, number: int) -> int | None:
@@ -345,9 +345,14 @@ class LoadedAvr:
         """Return the address of a function of simavr."""
         return self._simavr.find_function_address(name)
 
-    def control_port(self, request: int, description: int) -> None:
-        """Call avr_ioctl with a request number and the address of a description."""
-        self._call_library("avr_ioctl", request, ctypes.c_void_p(description))
+    def call_avr_ioctl(self, request: int, parameter_address: int) -> None:
+        """Call simavr's avr_ioctl.
+
+        Args:
+            request: Number of the request, see `encode_ioctl_request`.
+            parameter_address: Address of the structure that the request reads or fills.
+        """
+        self._call_library("avr_ioctl", request, ctypes.c_void_p(parameter_address))
 
     def raise_irq(self, irq: int, level: int) -> None:
         """Set the level of a simavr IRQ."""

@@ -80,14 +80,14 @@ def get_offset(structure: np.dtype, field: str) -> int:
     return structure.fields[field][1]
 
 
-def get_register(bits: int) -> int:
-    """Return the register address of register bits, packed as in simavr."""
-    return int(bits) & 0x1FF
+def unpack_register_address(packed: int) -> int:
+    """Return the register address in an avr_regbit_t word of simavr: bits 0 to 8 are the address."""
+    return int(packed) & 0x1FF
 
 
-def get_mask(bits: int) -> int:
-    """Return the mask of register bits, packed as in simavr."""
-    return (int(bits) >> 12 & 0xFF) << (int(bits) >> 9 & 7)
+def unpack_bit_mask(packed: int) -> int:
+    """Return the bits of a register that an avr_regbit_t word of simavr names: bits 12 to 19 are a mask, bits 9 to 11 its shift."""
+    return (int(packed) >> 12 & 0xFF) << (int(packed) >> 9 & 7)
 
 
 def view_structure(address: int, structure: np.dtype) -> Any:
@@ -249,9 +249,9 @@ def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
         if timer is None:
             return f"timer {name}"
         registers = (
-            int(timer["count_low"]), int(timer["count_high"]), int(timer["icr_low"]), get_register(timer["modes"][0]),
-            get_register(timer["clocks"][0]), get_register(timer["overflow"]["enable"]),
-            get_register(timer["overflow"]["flag"]), tuple(int(low) for low in timer["compare"]["low"][:2]),
+            int(timer["count_low"]), int(timer["count_high"]), int(timer["icr_low"]), unpack_register_address(timer["modes"][0]),
+            unpack_register_address(timer["clocks"][0]), unpack_register_address(timer["overflow"]["enable"]),
+            unpack_register_address(timer["overflow"]["flag"]), tuple(int(low) for low in timer["compare"]["low"][:2]),
         )  # fmt: skip
         functions = core["registers"][wanted[0] - REGISTER_BEGIN]
         if registers != wanted or {int(functions["read_parameter"]), int(functions["write_parameter"])} != {address}:
@@ -263,9 +263,9 @@ def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
             if irq is None or words not in (_read_memory(int(irq["name"]), 20) or b""):
                 return f"an IRQ of timer {name}"
     uart = _read_structure(modules.get(find_irq(library, avr, "uar0"), 0), UART)
-    if uart is None or (int(uart["control"]), get_register(uart["transmitter"])) != (_UCSRB, _UCSRB):
+    if uart is None or (int(uart["control"]), unpack_register_address(uart["transmitter"])) != (_UCSRB, _UCSRB):
         return "the UART"
-    return "" if get_register(uart["empty"]["flag"]) == _UCSRB - 1 else "an interrupt of the UART"
+    return "" if unpack_register_address(uart["empty"]["flag"]) == _UCSRB - 1 else "an interrupt of the UART"
 
 
 def _find_function_address(library: ctypes.CDLL, name: str) -> int:

@@ -15,7 +15,7 @@ from stage.native import Exported, address_of
 from stage.targets import avr_timers, avr_transmitter, simavr_layout
 from stage.targets.avr_core import PORTS
 from stage.targets.avr_timers import CAPTURE, N_UNITS, ORIGINAL, SIMAVR, TIMER, UNIT, VECTOR
-from stage.targets.simavr_layout import get_mask, get_offset, get_register, view_structure
+from stage.targets.simavr_layout import get_offset, unpack_bit_mask, unpack_register_address, view_structure
 
 RESPONSE, THREE_BYTE_FLASH = 4, 0x20000
 """Cycles from an interrupt to its vector, and the size of the flash (bytes) from which the return address takes one more."""
@@ -65,7 +65,7 @@ class SimavrOverlay:
         """Return the pins that the program has made PWM outputs, as port and bit, with a text such as "timer 1, mode 14"."""
         return {
             (
-                find_port_of_register(get_register(unit["pin"])),
+                find_port_of_register(unpack_register_address(unit["pin"])),
                 int(unit["pin"]) >> 9 & 7,
             ): f"timer {name}, mode {unit['pwm_mode'] - 1}"
             for name, units in zip(self._names, self._units, strict=True)
@@ -98,7 +98,7 @@ class SimavrOverlay:
         for name in ("count_low", "count_high", "capture_edge", "asynchronous", "modes", "clocks", "shifts"):
             row[name] = timer[name]
         row["kinds"], row["tops"] = timer["kinds"] >> 24, timer["kinds"] & 0xFF
-        row["has_external_clock"] = get_register(timer["clock_pin"]) != 0
+        row["has_external_clock"] = unpack_register_address(timer["clock_pin"]) != 0
         row["maximum"] = row["top"] = 0xFFFF if timer["count_high"] else 0xFF
         if timer["icr_high"]:
             row["capture_irq"] = simavr_layout.find_capture_irq(address)
@@ -109,7 +109,7 @@ class SimavrOverlay:
         vectors = [self._fill_vector(k, n, place) for n, place in enumerate(places)]
         row["overflow"], row["capture"] = vectors[CAPTURE:]
         for n, unit in enumerate(timer["compare"]):
-            pin = unit["pin"] if get_register(unit["pin"]) else 0
+            pin = unit["pin"] if unpack_register_address(unit["pin"]) else 0
             irq = simavr_layout.find_output_irq(address, n)
             self._units[k, n] = unit["low"], unit["high"], 0, 0, vectors[n], unit["mode"], pin, irq, 0
         self._units[k, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0, 0)
@@ -121,17 +121,17 @@ class SimavrOverlay:
             Address of the record, or 0 if there is no such interrupt.
         """
         vector, row = view_structure(address, simavr_layout.VECTOR), self._vectors[k, n : n + 1]
-        if not vector["number"] or not get_register(vector["flag"]):
+        if not vector["number"] or not unpack_register_address(vector["flag"]):
             return 0
         pending = address + get_offset(simavr_layout.VECTOR, "pending")
-        bits = [get(vector[name]) for name in ("enable", "flag") for get in (get_register, get_mask)]
+        bits = [get(vector[name]) for name in ("enable", "flag") for get in (unpack_register_address, unpack_bit_mask)]
         row[0] = (self._timers[k]["own"], address, pending, *bits)
         return address_of(row)
 
     def _connect_timer(self, row: np.ndarray, timer: Any) -> None:
         """Replace the functions that write the registers of a timer."""
-        control = {get_register(bits) for name in ("modes", "clocks") for bits in timer[name]}
-        control.add(get_register(timer["asynchronous"]))
+        control = {unpack_register_address(bits) for name in ("modes", "clocks") for bits in timer[name]}
+        control.add(unpack_register_address(timer["asynchronous"]))
         writes = dict.fromkeys(control - {0}, avr_timers.write_control)
         compares = [(unit["low"], unit["high"]) for unit in timer["compare"]] + [(timer["icr_low"], timer["icr_high"])]
         writes |= {int(low): avr_timers.write_compare for low, _ in compares if low}
@@ -203,14 +203,14 @@ class SimavrOverlay:
         self._uarts = np.zeros(len(modules), avr_transmitter.TRANSMITTER)
         for k, address in enumerate(modules):
             uart = view_structure(address, simavr_layout.UART)
-            register = get_register(uart["transmitter"])
+            register = unpack_register_address(uart["transmitter"])
             if not register or not uart["empty"]["number"]:
                 continue
             functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
             flag, vector = uart["empty"]["flag"], address + get_offset(simavr_layout.UART, "empty")
             self._uarts[k] = (
                 self._simavr.ctypes.data, functions["write"], functions["write_parameter"], uart["transmitter"], vector,
-                get_register(flag), get_mask(flag),
+                unpack_register_address(flag), unpack_bit_mask(flag),
             )  # fmt: skip
             functions["write"] = self._get_address(avr_transmitter.write_transmitter_enable)
             functions["write_parameter"] = address_of(self._uarts[k : k + 1])
@@ -229,14 +229,14 @@ def find_port_of_register(register: int) -> int:
 
 def _is_known_timer(timer: Any) -> bool:
     """Tell whether a timer is one of the usual kind, whose clock is selected by three bits."""
-    return not get_register(timer["clocks"][3]) and bool(timer["count_low"])
+    return not unpack_register_address(timer["clocks"][3]) and bool(timer["count_low"])
 
 
 def _find_force_compare_bits(timer: Any) -> tuple[int, int]:
     """Return the register with the FOC bits of a timer, and the mask of these bits; 0 and 0 if there are none."""
-    mode, clock = get_register(timer["modes"][0]), get_register(timer["clocks"][0])
+    mode, clock = unpack_register_address(timer["modes"][0]), unpack_register_address(timer["clocks"][0])
     units = sum(0x80 >> k for k in range(CAPTURE) if timer["compare"][k]["low"])
     if not timer["count_high"]:
-        mode_bits = sum(get_mask(bits) for bits in timer["modes"] if get_register(bits) == clock)
+        mode_bits = sum(unpack_bit_mask(bits) for bits in timer["modes"] if unpack_register_address(bits) == clock)
         return (clock, units & ~mode_bits) if units & ~mode_bits else (0, 0)
     return (clock + 1, units) if mode == clock - 1 else (0, 0)

@@ -11,7 +11,7 @@ import pytest
 
 from stage.board import build, platforms
 from stage.board.firmware_library import SOURCES, find_compiler
-from stage.board.platforms.arduino_library import LIBRARY_FILES
+from stage.board.platforms.arduino_library_folder import LIBRARY_FILES
 from stage.errors import ArgumentError
 
 

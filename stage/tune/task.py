@@ -14,7 +14,7 @@ import numpy as np
 from stage import Stage
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import get_driver
-from stage.sim.named_points import find_judged_point, find_payload_body
+from stage.sim.payload_and_judged_point import find_judged_point, find_payload_body
 from stage.support.argument_checks import explain_constructor
 from stage.tune.machine_tolerances import Machine, fit_machine
 from stage.units import DEVIATION_UNITS, POSITION_UNITS

@@ -6,7 +6,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, CompileError, NativeHost
-from stage.board.platforms.arduino_library import read_arduino_library
+from stage.board.platforms.arduino_library_folder import read_arduino_library
 from stage.cli import main
 from stage.errors import ArgumentError
 from stage.support.files import FileError

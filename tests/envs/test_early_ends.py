@@ -48,7 +48,7 @@ def test_a_move_that_cannot_end_in_time_is_not_simulated():
     stages, slow = env.unwrapped.stages, np.full((8, len(env.single_action_space.low)), -1.0, np.float32)
     started = [s.now for s in stages]
     env.unwrapped._task.actions[...] = slow
-    env.unwrapped._task.play()
+    env.unwrapped._task.play_actions()
     assert [s.now for s in stages] == started
     assert not env.unwrapped._task.results["info"]["finished"].any()
 
@@ -63,7 +63,7 @@ def test_a_move_ends_when_it_loses_a_step():
         task = env._task
         row = np.array([values[name] for name in task.registers.names])
         task.actions[0] = task.registers.to_action(row[None])[0]
-        task.play()
+        task.play_actions()
         return env.stage.time, task.results["info"][0]
 
     (full_time, was), (early_time, now) = lose_a_step(False), lose_a_step(True)

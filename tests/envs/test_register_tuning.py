@@ -204,7 +204,7 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
 def test_a_shared_name_means_the_body_for_payloads_and_the_site_for_judging():
     from stage import Stage
     from stage.sim import plant
-    from stage.sim.named_points import find_judged_point, find_payload_body
+    from stage.sim.payload_and_judged_point import find_judged_point, find_payload_body
 
     spec = plant.open_spec("xy")
     spec.body("y").add_site(name="x")

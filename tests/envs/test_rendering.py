@@ -183,7 +183,9 @@ def test_a_frame_after_a_step_shows_the_end_of_that_step(id_, frames, monkeypatc
     env.reset(seed=1)
     assert (env.render() == env.stage.data.qpos).all()
     ends, act = [], type(env._task).play
-    monkeypatch.setattr(type(env._task), "play", lambda task: (act(task), ends.append(task.stages[0].data.qpos.copy())))
+    monkeypatch.setattr(
+        type(env._task), "play_actions", lambda task: (act(task), ends.append(task.stages[0].data.qpos.copy()))
+    )
     env.step(np.zeros(env.action_space.shape, np.float32))
     assert (env.render() == ends[-1]).all()
     assert (frames()[0] != frames()[1]).any(), "it has moved"

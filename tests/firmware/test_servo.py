@@ -10,7 +10,7 @@ from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import NUMBERS
 from stage.firmware.driver import Speeds
 from stage.firmware.hctl1100.chip_port import INIT, PROFILE, ChipPort
-from stage.firmware.hctl1100.driver import _compute_line_rows
+from stage.firmware.hctl1100.driver import _compute_line_command_positions
 from stage.firmware.hctl1100.homing import home_servo, leave_limit
 from stage.firmware.hctl1100.moves import (
     FilterTuning,
@@ -351,7 +351,7 @@ def test_a_home_search_without_an_index_pulse_raises_an_error_with_the_motor_off
 def test_a_line_has_at_most_the_highest_rate_of_the_chip():
     """firmware.line({"x": 2e-3, "y": 1e-3}, stage.axes, speed=...), 127 counts a sample"""
     sample = 1 / 1024
-    rows = _compute_line_rows([2000, 1000], Speeds(0, 127 / sample, 0.05, 0.05), sample)
+    rows = _compute_line_command_positions([2000, 1000], Speeds(0, 127 / sample, 0.05, 0.05), sample)
     assert rows[-1].tolist() == [2000, 1000]
     with pytest.raises(ArgumentError, match="more than 0, up to 130048 at this sample time"):
-        _compute_line_rows([2000, 1000], Speeds(0, 128 / sample, 0.05, 0.05), sample)
+        _compute_line_command_positions([2000, 1000], Speeds(0, 128 / sample, 0.05, 0.05), sample)

@@ -36,17 +36,17 @@ def _is_lost(host, chip, address, value):
 
 
 @hot
-def _write_chip(host, chip, address, value, kind, port, data):
+def _write_chip(host, chip, address, value, trace_kind, trace_port, trace_value):
     """Make a write cycle to a chip.
 
     Args:
         host: The HOST record.
         chip: Number of the chip.
-        address: Address at the chip.
-        value: Value at the chip.
-        kind: Kind of the cycle in the trace.
-        port: Port in the trace.
-        data: Value in the trace.
+        address: Bus address at the chip.
+        value: Value that the chip receives.
+        trace_kind: Kind of the cycle as the host made it, for the bus trace.
+        trace_port: Port at which the host made the cycle, for the bus trace.
+        trace_value: Value that the host wrote, for the bus trace.
     """
     lost = _is_lost(host, chip, address, value)
     waiting.pass_bus_cycle(host)
@@ -56,7 +56,7 @@ def _write_chip(host, chip, address, value, kind, port, data):
             core_interface.write(host_record.get_chip(host, chip), address, value)
         if host.journals:
             host_record.append_to_journal(host, LOST if lost else WRITE, chip, address, value)
-    append_to_trace(host, kind | lost * host_record.WRITE_LOST, port, data, -1)
+    append_to_trace(host, trace_kind | lost * host_record.WRITE_LOST, trace_port, trace_value, -1)
 
 
 @hot
@@ -204,8 +204,8 @@ def _write_16_bits(host, port, value):
 
 
 @hot
-def _pass_poll(host):
-    """Pass the bus cycle of a poll of the time or the interrupt line, so that time advances in polling loops."""
+def _let_poll_cycle_pass(host):
+    """Let the time of one bus cycle pass when a host polls the time or the interrupt line, so that polling loops end."""
     waiting.pass_bus_cycle(host)
     waiting.call_hooks(host)
 
@@ -322,16 +322,16 @@ def _control_interrupts(host, code, a, b):
 
 @hot
 def _control_time(host, code, a, b):
-    """Execute a request that waits for or reads time or the interrupt line."""
+    """Execute a request that waits, or that reads the time or the interrupt line; return what it reads, otherwise 0."""
     if code == host_record.DELAY:
         waiting.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US) * 1000)
     elif code == host_record.SPEND:
         waiting.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US * 1000))
     elif code == host_record.MICROS:
-        _pass_poll(host)
+        _let_poll_cycle_pass(host)
         return host_record.get_now(host) // 1000
     elif code == host_record.LINE:
-        _pass_poll(host)
+        _let_poll_cycle_pass(host)
         return 1 if waiting.find_interrupt_mask(host) else 0
     elif code == host_record.UNTIL:
         waiting.advance_host(host, a)
@@ -387,7 +387,7 @@ def _access_serial(host, code, a):
             _send_serial(host, line, a & 0xFF)
         return 0
     if serial_core.count_arrived(line, now) <= 0:
-        _pass_poll(host)
+        _let_poll_cycle_pass(host)
         now = host_record.get_now(host)
     if a == host_record.COUNT:
         return serial_core.count_arrived(line, now)

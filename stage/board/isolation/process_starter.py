@@ -135,7 +135,7 @@ class ProcessStarter:
 
     def is_alive(self) -> bool:
         """Return whether the starter can answer requests: it has not ended, and no signal or tracer has stopped it."""
-        return self._process.poll() is None and not _is_stopped(self._process.pid)
+        return self._process.poll() is None and not _is_suspended(self._process.pid)
 
     def end(self) -> None:
         """End the starter and its children.
@@ -164,7 +164,7 @@ class ProcessStarter:
             try:
                 more = source.recv(size - len(content))
             except TimeoutError:
-                if time.monotonic() < until and not _is_stopped(self._process.pid):
+                if time.monotonic() < until and not _is_suspended(self._process.pid):
                     continue
                 raise
             if not more:
@@ -246,15 +246,15 @@ def _find_starter(preload: str, silent: bool = False) -> ProcessStarter:
 
 
 @atexit.register
-def _end_stopped_starters() -> None:
-    """End starters that are stopped, because they would not notice the end of this process."""
+def _end_suspended_starters() -> None:
+    """End the starters that a signal has suspended, because they would not notice that this process ends."""
     for (owner, _), starter in _starters.items():
         if owner == os.getpid() and not starter.is_alive():
             starter.end()
 
 
-def _is_stopped(pid: int) -> bool:
-    """Return whether a signal or a tracer has stopped a process; False if the system does not tell."""
+def _is_suspended(pid: int) -> bool:
+    """Return whether a signal or a tracer has suspended a process; False if the system does not tell."""
     return read_status(pid).get("State", "")[:1] in ("T", "t")
 
 

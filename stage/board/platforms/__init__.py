@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from stage.board.platforms.arduino_library import (
+from stage.board.platforms.arduino_library_folder import (
     ArduinoLibrary,
     read_arduino_library,
     suggest_dependencies,

@@ -133,8 +133,8 @@ class ChipPort:
             return ""
         return next((name for name, flag in MODE_FLAGS.items() if flags >> flag & 1), "position")
 
-    def enter_idle(self) -> None:
-        """Enter Init/Idle, in which the motor command is 0."""
+    def enter_init_idle_mode(self) -> None:
+        """Write the chip's mode Init/Idle, in which the motor command is 0 and no loop is closed."""
         self.chip.write(MODE, IDLE)
 
     def set_control_mode(self, name: str) -> None:
@@ -166,7 +166,7 @@ class ChipPort:
 
         The chip ignores this while LIMIT is latched, see `is_limited`.
         """
-        self.enter_idle()
+        self.enter_init_idle_mode()
         self._set_flags("position")
         self.write_numbers(command_position=self.read_position())
         self.chip.write(MODE, CONTROL)
@@ -227,7 +227,7 @@ class ChipPort:
         while not test():
             if not self.axis.time - begin < timeout:
                 state = f"at {self.read_position()} counts, R07 = {self.read_status():02X}h"
-                self.enter_idle()
+                self.enter_init_idle_mode()
                 raise RunTimeout(
                     f"axis {self.axis.name}: {what} did not come in {timeout:g} s; it was {state} and is in Init/Idle now."
                 )

@@ -95,7 +95,7 @@ class Hctl1100Driver(Driver):
         if mode:
             self.port.write_numbers(timer=self.tuning.timer)
             return self.port
-        self.port.enter_idle()
+        self.port.enter_init_idle_mode()
         if self.port.clear_status() & LIMIT:
             self.port = set_up_servo(self.axis, self.tuning)
         else:
@@ -256,7 +256,7 @@ class Hctl1100Driver(Driver):
     def halt(self, at_once: bool = False) -> None:
         port, mode = self.port, self.port.read_control_mode()
         if not mode:
-            port.enter_idle()  # ends what leaves a limit switch
+            port.enter_init_idle_mode()  # ends what leaves a limit switch
             return
         port.write_numbers(timer=self.tuning.timer)
         if at_once or mode == "proportional velocity":
@@ -318,7 +318,7 @@ class Hctl1100Driver(Driver):
         ports = [driver.prepare() for driver in moving_drivers.values()]
         for (n, driver), port in zip(moving_drivers.items(), ports, strict=True):
             driver._check_goal(port.read_command_position() + pulses[n])
-        _compute_line_rows(
+        _compute_line_command_positions(
             [pulses[n] for n in moving_drivers], speeds, ports[0].sample
         )  # refuses before anything moves
         with LineObserver(
@@ -336,7 +336,7 @@ class Hctl1100Driver(Driver):
                 ]
             synchronize_sample_timers(ports)  # each holds where it is, which may be beside its command
             left = [goal - port.read_command_position() for port, goal in zip(ports, goals, strict=True)]
-            rows = _compute_line_rows(left, speeds, ports[0].sample)
+            rows = _compute_line_command_positions(left, speeds, ports[0].sample)
             line.note_start()
             begin = ports[0].axis.time
 
@@ -465,8 +465,20 @@ def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, 
     return sample == len(rows)
 
 
-def _compute_line_rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
-    """Compute command positions relative to the start, shape (samples, axes): a trapezoid at the rates of the longest axis."""
+def _compute_line_command_positions(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
+    """Compute the command positions of a line: a trapezoid at the rates of the longest axis.
+
+    Args:
+        distances: Distance of each axis, counts.
+        speeds: Rates, counts/s, and ramps, s, of the longest axis.
+        sample: Sample time, s.
+
+    Returns:
+        Command positions relative to the start, counts, shape (samples, axes).
+
+    Raises:
+        ArgumentError: The drive speed is out of range, or the line takes too long.
+    """
     max_distance = max(abs(d) for d in distances) or 1
     maximum = NUMBERS["integral_velocity"].maximum / sample
     if not 0 < speeds.drive <= maximum:

@@ -126,17 +126,17 @@ def leave_limit(
     Raises:
         RunTimeout: The switch is still on after `timeout` or after `max_counts`. The axis is then in Init/Idle.
     """
-    port.enter_idle()
+    port.enter_init_idle_mode()
     begin = port.read_position()
     port.write_numbers(motor_command=direction * push)
 
     def is_released_or_out_of_reach() -> bool:
-        """Return whether the limit is released or the axis has moved `max_counts`."""
+        """Clear LIMIT if the switch is released; return whether it is, or whether the axis has moved more than `max_counts`."""
         return bool(port.clear_status() & LIMIT) or abs(port.read_position() - begin) > max_counts
 
     port.wait_until(is_released_or_out_of_reach, timeout, "release of the limit switch", FAST_POLL_S)
     if port.is_limited():
-        port.enter_idle()
+        port.enter_init_idle_mode()
         raise RunTimeout(
             f"axis {port.axis.name}: its limit switch is still on {max_counts} counts away, at {port.read_position()} counts. Look "
             "whether it is stuck; the axis is in Init/Idle now."
@@ -181,14 +181,18 @@ def _back_out_of_switch(
 ) -> None:
     """Move back, an eighth of a turn at a time, until STOP can be cleared. The moves are trapezoids, which ignore STOP."""
 
-    def released() -> bool:
-        """Clear STOP if it is released, and return whether that was possible."""
+    def clear_stop_or_move_back() -> bool:
+        """Clear the latched STOP flag if the switch is released; otherwise move back an eighth of a turn.
+
+        Returns:
+            Whether to stop waiting: STOP is cleared, or LIMIT is latched.
+        """
         if port.clear_status() & STOP:
             return True
         move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
         return port.is_limited()
 
-    port.wait_until(released, timeout, "release of the home switch", FAST_POLL_S)
+    port.wait_until(clear_stop_or_move_back, timeout, "release of the home switch", FAST_POLL_S)
     _check_limit(port, "release of the home switch")
     move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
 
@@ -200,7 +204,7 @@ def _find_index_pulse(port: ChipPort, direction: int, turn: int) -> int:
     max_counts = round(MAX_TURNS * turn)
 
     def creep(counts: int, seconds: float) -> bool:
-        """Move count by count, at most `counts`, and return whether the index pulse has begun."""
+        """Move count by count, `seconds` each, at most `counts`; return whether the index pulse has begun."""
         command, before = port.read_command_position(), pins.index
         for k in range(1, counts + 1):
             port.write_command_position(command + direction * k)
@@ -216,7 +220,7 @@ def _find_index_pulse(port: ChipPort, direction: int, turn: int) -> int:
         port.axis.wait(INDEX_RETREAT_COUNTS * CREEP_INTERVAL_S)
         found = creep(2 * INDEX_RETREAT_COUNTS, CREEP_INTERVAL_S)
     if not found:
-        port.enter_idle()
+        port.enter_init_idle_mode()
         raise RunTimeout(
             f"axis {port.axis.name}: no index pulse within {max_counts} counts of the home switch; it is in Init/Idle now."
         )
@@ -228,7 +232,7 @@ def _preset_position(port: ChipPort, origin: int) -> None:
 
     The chip allows this only in Init/Idle, so the motor is off for a few bus cycles.
     """
-    port.enter_idle()
+    port.enter_init_idle_mode()
     port.write_numbers(preset_position=port.read_position() - origin)
     port.write_numbers(command_position=port.read_position())
     port.chip.write(MODE, CONTROL)

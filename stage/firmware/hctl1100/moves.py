@@ -121,7 +121,7 @@ def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> ChipPort:
         ArgumentError: The chip is no HCTL-1100, a value does not fit its register, or LIMIT is asserted.
     """
     port = ChipPort(axis)
-    port.enter_idle()
+    port.enter_init_idle_mode()
     load_filter(port, tuning or FilterTuning())
     if not port.clear_status() & LIMIT:
         raise ArgumentError(

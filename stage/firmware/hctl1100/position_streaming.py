@@ -57,7 +57,7 @@ def synchronize_sample_timers(ports: Sequence[ChipPort]) -> None:
             "SYNC keeps chips of one sample time in step: load the same T on all, and give them the same clock."
         )
     for port in ports:
-        port.enter_idle()
+        port.enter_init_idle_mode()
     for asserted in (True, False):
         for port in ports:
             port.axis.chip.axes[port.axis.chip_axis].pins.sync = asserted

@@ -365,7 +365,14 @@ class NovaDriver(Driver):
 
     @abstractmethod
     def add_home_search(
-        self, program: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+        self,
+        program: Operations,
+        fast: bool,
+        timer: int,
+        index: bool,
+        timeout_s: float,
+        rest_s: float,
+        direction: int = -1,
     ) -> list[int]:
         """Add a search for ORG.
 
@@ -374,8 +381,8 @@ class NovaDriver(Driver):
             fast: True to begin at the drive speed; False to begin at HV.
             timer: Code of the rest between steps; 0: none.
             index: True to go on to STOP2, the index pulse.
-            limit: Seconds that a drive may take.
-            rest: Seconds of rest after the search.
+            timeout_s: Time that a drive may take, s.
+            rest_s: Time to wait after the stop, s.
             direction: Direction in which ORG lies, 1 or -1.
 
         Returns:

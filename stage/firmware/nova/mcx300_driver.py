@@ -27,9 +27,10 @@ SPEED_MULTIPLE = 20
 
 
 class FirstGenerationDriver(NovaDriver):
-    """Driver of MCX304, MCX302, MCX312 and MCX314As, whose speeds are multiples of 8,000,000 / R pps.
+    """Driver of MCX304, MCX302, MCX312 and MCX314As, whose speeds are multiples of 8,000,000 / R pps; R is the range register.
 
-    The fast step of their home search does not use ORG, so a continuous drive that STOP1 ends replaces it.
+    The first, fast step of the chips' automatic home search ignores ORG. Therefore the driver makes a continuous drive until STOP1
+    (ORG) instead, and then starts the automatic search without its first step.
     """
 
     SPEEDS: ClassVar = ("SV", "V", "A")
@@ -49,7 +50,7 @@ class FirstGenerationDriver(NovaDriver):
             now = ImmediateOperations(self.axis)
             self.add_register_write(now, "HV", self.clip_to_legal_range("HV", HOME_SPEED_PPS / self.UNIT))
             self._add_run_to_signal(now, direction, timeout, SETTLING_TIME_S)
-            address, stop1 = self._locate_stop_level(1)
+            address, stop1 = self._find_stop_level_mask(1)
             stop_reason = self.read_stop_reason()
             if stop_reason in ("EL+", "EL-") and bool(
                 self.chip.read(address) & stop1
@@ -137,25 +138,48 @@ class FirstGenerationDriver(NovaDriver):
         return {"step1": (0, 1)}
 
     def add_home_search(
-        self, program: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+        self,
+        program: Operations,
+        fast: bool,
+        timer: int,
+        index: bool,
+        timeout_s: float,
+        rest_s: float,
+        direction: int = -1,
     ) -> list[int]:
         if fast:
-            polls = [self._add_run_to_signal(program, direction, SEARCH_TIME_FACTOR * limit, rest)]
+            polls = [self._add_run_to_signal(program, direction, SEARCH_TIME_FACTOR * timeout_s, rest_s)]
         else:
             self.add_command(program, self.NOP)  # programs are alike: three operations
             program.wait(0).wait(0)
-            polls = [self._add_stop_wait(program, SEARCH_TIME_FACTOR * limit, rest)]
-        return [*polls, self._add_search(program, index, SEARCH_TIME_FACTOR * limit, rest, direction)]
+            polls = [self._add_stop_wait(program, SEARCH_TIME_FACTOR * timeout_s, rest_s)]
+        return [
+            *polls,
+            self._add_automatic_home_search(program, index, SEARCH_TIME_FACTOR * timeout_s, rest_s, direction),
+        ]
 
-    def _add_run_to_signal(self, program: Operations, direction: int, limit: float, rest: float) -> int:
+    def _add_run_to_signal(self, program: Operations, direction: int, timeout_s: float, rest_s: float) -> int:
         """Add a continuous drive that STOP1 or a limit ends; return the index of the operation that polls for the stop."""
         self.add_command(self.add_mode_words(program, WR1=self._compute_wr1("SP1-E")), self.RUN[direction < 0])
-        return self._add_stop_wait(program, limit, rest)
+        return self._add_stop_wait(program, timeout_s, rest_s)
 
-    def _add_search(self, program: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
-        """Add the automatic home search without its first step; return the index of the operation that polls for the stop."""
+    def _add_automatic_home_search(
+        self, program: Operations, index: bool, timeout_s: float, rest_s: float, direction: int
+    ) -> int:
+        """Add the automatic home search without its first step, and the wait for its end.
+
+        Args:
+            program: Program, or operations that are done at once.
+            index: Whether the search goes on to the index pulse.
+            timeout_s: Time that the search may take, s.
+            rest_s: Time to wait after the stop, s.
+            direction: Direction in which ORG lies, 1 or -1.
+
+        Returns:
+            Index of the operation that polls for the stop.
+        """
         self._add_search_start(program, index, direction, 0)
-        return self._add_stop_wait(program, limit, rest)
+        return self._add_stop_wait(program, timeout_s, rest_s)
 
     def _add_search_start(self, program: Operations, index: bool, direction: int, filter_code: int) -> None:
         """Add the start of the automatic home search.
@@ -176,27 +200,34 @@ class FirstGenerationDriver(NovaDriver):
         self.add_register_write(program, mode, self.get_mask(mode, *bits) | (filters if extended else 0))
         self.add_command(program, "HOME_EXEC")
 
-    def _add_stop_wait(self, program: Operations, limit: float, rest: float) -> int:
+    def _add_stop_wait(self, program: Operations, timeout_s: float, rest_s: float) -> int:
         """Add the wait for the end of a drive and a rest; return the index of the operation that polls for the stop."""
         at = len(program)
-        program.until_stopped([self.index], limit)
-        self.add_command(program, self.STOP).wait(rest)
+        program.until_stopped([self.index], timeout_s)
+        self.add_command(program, self.STOP).wait(rest_s)
         return at
 
     def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
         self.add_command(program, self.NOP)
         at = len(program)
-        program.read(self.index, 2).read(self.index, self._locate_stop_level(1)[0])
+        program.read(self.index, 2).read(self.index, self._find_stop_level_mask(1)[0])
         levels = {
-            f"stop{k}": (at + 1, self._locate_stop_level(k)[1], self.is_stop_input_active_high(k)) for k in (1, 2)
+            f"stop{k}": (at + 1, self._find_stop_level_mask(k)[1], self.is_stop_input_active_high(k)) for k in (1, 2)
         }
         return {
             "error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True),
             **levels,
         }  # on its way out of an ORG that is stuck
 
-    def _locate_stop_level(self, number: int) -> tuple[int, int]:
-        """Return the address and the mask at which the level of STOP1 or STOP2 of this axis is read."""
+    def _find_stop_level_mask(self, number: int) -> tuple[int, int]:
+        """Find the bit that has the level of the input STOP1 or STOP2 of this axis.
+
+        Args:
+            number: 1 or 2.
+
+        Returns:
+            Bus address of the register, and mask of the bit.
+        """
         axis = self.axis.chip_axis
         word = f"RR{4 + axis // (1 if self.chip.AXES == 2 else 2)}"
         return int(word[2:]), self.get_mask(word, f"{'XYZU'[axis]}-STOP{number}")

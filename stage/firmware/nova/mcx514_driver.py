@@ -106,7 +106,14 @@ class Mcx514Driver(NovaDriver):
         return {"step1": (0, 1), "timer": (0, MAX_TIMER_CODES)}
 
     def add_home_search(
-        self, program: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+        self,
+        program: Operations,
+        fast: bool,
+        timer: int,
+        index: bool,
+        timeout_s: float,
+        rest_s: float,
+        direction: int = -1,
     ) -> list[int]:
         steps = [f"S{k}" for k in (1, 2, 3) if k == 2 or (fast, index)[k == 3]]
         steps = [f"{step}EN" for step in steps] + [f"{step}DR" for step in steps if direction < 0]
@@ -114,9 +121,9 @@ class Mcx514Driver(NovaDriver):
         self.add_register_write(program, "H1M", self.get_mask("H1M", *steps) | stop1)
         length = (timer - 1) << self.map.bit("H2M", "HTM") if timer else 0
         self.add_register_write(program, "H2M", length | (self.get_mask("H2M", "HTME") if timer else 0))
-        self.add_command(program, "HMSRC").until_stopped([self.index], SEARCH_TIME_FACTOR * limit)
+        self.add_command(program, "HMSRC").until_stopped([self.index], SEARCH_TIME_FACTOR * timeout_s)
         at = len(program) - 1
-        self.add_command(program, self.STOP).wait(rest)
+        self.add_command(program, self.STOP).wait(rest_s)
         return [at]
 
     def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:

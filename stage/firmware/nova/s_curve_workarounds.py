@@ -34,11 +34,11 @@ def open_port(axis: Axis) -> ChipPort:
 
 
 class DecelerationFlag:
-    """Flag that prohibits the decelerating stop from the begin of the deceleration to the end of the drive (case 1, (1)).
+    """Flag that prohibits the decelerating stop from the begin of the deceleration to the end of the drive.
 
-    "When deceleration starts, interruption will be occurred to prohibit execution of deceleration stop command (26h) until driving
-    completion." Create a flag before each start. The drive must reach its drive speed V: without an interval of constant speed
-    there is no interrupt before area d.
+    Case 1, (1) of NOVA's notice: "When deceleration starts, interruption will be occurred to prohibit execution of deceleration
+    stop command (26h) until driving completion." Create a flag before each start. The drive must reach its drive speed V:
+    without an interval of constant speed there is no interrupt before area d.
     """
 
     def __init__(self, port: ChipPort):
@@ -54,7 +54,7 @@ class DecelerationFlag:
 
 
 def stop_guarded(flag: DecelerationFlag) -> bool:
-    """Write the decelerating stop unless the flag prohibits it (case 1, (1)).
+    """Write the decelerating stop unless the flag prohibits it: case 1, (1) of NOVA's notice.
 
     "within task, see flag and if it's 1, don't execute deceleration stop command". A host calls the function in place of an
     interrupt.
@@ -73,7 +73,7 @@ def stop_guarded(flag: DecelerationFlag) -> bool:
 
 
 def compute_judgmental_speed(initial: int, drive: int) -> float:
-    """Compute the judgmental speed of case 1, (2): "middle one between initial speed and setting speed".
+    """Compute the judgmental speed of case 1, (2) of NOVA's notice: "middle one between initial speed and setting speed".
 
     Args:
         initial: Initial speed SV.
@@ -83,7 +83,7 @@ def compute_judgmental_speed(initial: int, drive: int) -> float:
 
 
 def stop_by_speed(port: ChipPort, judgmental: float) -> bool:
-    """Write the decelerating stop if it does no harm at the present speed (case 1, (2)).
+    """Write the decelerating stop if it does no harm at the present speed: case 1, (2) of NOVA's notice.
 
     "make sure status is accelerating (ASND=1) or constant speed driving (CNST=1) and driving speed is same or faster than
     judgmental speed".

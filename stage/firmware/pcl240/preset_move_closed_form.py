@@ -1,9 +1,9 @@
 """A preset move in closed form: the number of pulses, as a fraction, that a row of registers has made at any time. Compiled.
 
 The registers of an axis are a row: R0 to R7, and on a chip with S-curves also R14 and R15. R6 in a row is always the number of
-    pulses
-left when the ramp-down begins. The *motion* of a row has what follows from the row: ticks to the ramp-down, speed and phase there,
-ticks to the last pulse. The phase is the sum of the speeds over the ticks; 8192 R7 of it make a pulse.
+pulses left when the ramp-down begins. The *motion* of a row has what follows from the row: ticks to the ramp-down, speed and
+phase there, ticks to the last pulse. A tick is a clock of the chip. The phase is the sum of the speeds over the ticks; 8192 R7 of
+it make a pulse.
 """
 
 from __future__ import annotations
@@ -201,11 +201,12 @@ def _fill_curved_motion(row, motion):
 
 @exported(None, array_of("i8"), array_of("i8"))
 def fill_motion(row, motion):
-    """Compute the motion of a row: ticks to the ramp-down, speed and phase there, ticks to the last pulse.
+    """Compute the motion that a row of registers produces, see the module docstring.
 
     Args:
-        row: Row of registers.
-        motion: Array of four numbers, filled.
+        row: Registers R0 to R7 of an axis; on a chip with S-curves also R14 and R15.
+        motion: Array to fill with four numbers: ticks (clocks of the chip) from the start to the ramp-down, speed and phase at the
+            ramp-down, ticks from the start to the last pulse. The phase is the sum of the speeds over the ticks.
     """
     d, fl, fh, up, down, m = row[0], row[1], row[2], row[4], row[5], 8192 * row[7]
     motion[0], motion[1], motion[2] = NEVER_TICKS, fh, 0
@@ -245,7 +246,7 @@ def compute_s_curve_phase(row, motion, ticks):
 
 @hot
 def compute_phase(row, motion, ticks):
-    """Return the phase that a move has gained `ticks` after its start, at a fraction of a tick too."""
+    """Return the phase of a move, the sum of the speeds over the ticks, `ticks` after its start; `ticks` may be a fraction."""
     return (
         compute_s_curve_phase(row, motion, ticks)
         if has_s_curve_ramps(row)
