@@ -21,7 +21,13 @@ import numpy as np
 from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
-from stage.board.firmware_pins import PIN_USE, check_board_pins, find_firmware_wiring_findings, make_line_table
+from stage.board.firmware_pins import (
+    PIN_READS,
+    PIN_USE,
+    check_board_pins,
+    find_firmware_wiring_findings,
+    make_line_table,
+)
 from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
@@ -425,6 +431,7 @@ class Library:
     def __init__(self, path: Path, link: Link, cost: int = 0, lines: Sequence[PinLine] = ()):
         self.path, self._link, self._cost, self._lines = path, link, cost, lines
         self._pin_use: np.ndarray | None = None
+        self._pin_reads = np.full(1, 1, PIN_READS)
         _check_sanitizers(path)
         self._scratch = TemporaryFolder()
         self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
@@ -469,7 +476,7 @@ class Library:
     def close(self) -> None:
         """Unload the library."""
         if self._pin_use is not None:
-            self._pin_use = self._pin_use.copy()  # for `find_wiring_findings`
+            self._pin_use, self._pin_reads = self._pin_use.copy(), self._pin_reads.copy()  # for `find_wiring_findings`
         if platform.system() != "Windows":
             import _ctypes
 
@@ -511,12 +518,17 @@ class Library:
         if any("step" in chip.INPUTS for chip in self._link.stage.chips):
             table[0], table[1] = self._table.ctypes.data, len(self._table)
         self._pin_use = np.ctypeslib.as_array(use).view(PIN_USE)
+        if hasattr(self._library, "pulsestage_pin_reads"):  # the first libraries with pins lack it
+            reads = (ctypes.c_uint8 * PIN_READS.itemsize).in_dll(self._library, "pulsestage_pin_reads")
+            self._pin_reads = np.ctypeslib.as_array(reads).view(PIN_READS)
 
     def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Return the signs that lines of axes are at the wrong pins of the firmware."""
         if self._pin_use is None or not (self._lines or self._pin_use.view("u1").any()):
             return ()
-        return find_firmware_wiring_findings(self._table, self._lines, self._pin_use[0], self._link.stage)
+        return find_firmware_wiring_findings(
+            self._table, self._lines, self._pin_use[0], self._pin_reads[0], self._link.stage
+        )
 
     def _find_variable(self, c_type: Any, name: str) -> Any:
         """Return an exported variable of the library. Raises LibraryError if it has none of this name."""

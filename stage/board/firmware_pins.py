@@ -29,8 +29,12 @@ PIN_USE = np.dtype(
     [("rises", "u4", (LAST_PIN + 1,)), ("pull_ups", "u4", (LAST_PIN + 1,)), ("has_ports", "i4"), ("refusal", "S128")]
 )
 """`struct pulsestage_pin_use` of pulsestage.h."""
+PIN_READS = np.dtype([("refusals", "i4"), ("reads", "u1", (LAST_PIN + 1,))])
+"""`struct pulsestage_pin_reads` of pulsestage.h."""
 PULLED = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
+SWITCHES = ("limit", "limit_plus", "limit_minus", "origin")
+"""Lines that stand for switches of the stage."""
 _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
 
 
@@ -98,7 +102,7 @@ def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
 
 
 def find_firmware_wiring_findings(
-    table: np.ndarray, lines: Sequence[PinLine], use: Any, stage: Stage
+    table: np.ndarray, lines: Sequence[PinLine], use: Any, reads: Any, stage: Stage
 ) -> tuple[WiringFinding, ...]:
     """Return the signs that lines of axes are at the wrong pins of the firmware.
 
@@ -106,18 +110,56 @@ def find_firmware_wiring_findings(
         table: LINE records as the firmware has them.
         lines: The lines, in the order of `table`.
         use: PIN_USE record of the firmware.
+        reads: PIN_READS record of the firmware.
         stage: Stage with the axes.
     """
-    refusal = use["refusal"].decode(errors="replace")
-    refused = (WiringFinding("", f"{refusal}."),) if refusal else ()
+    refusal, times = use["refusal"].decode(errors="replace"), int(reads["refusals"])
+    again = f", the first of {times:,} such calls" if times > 1 else ""
+    refused = (WiringFinding("", f"{refusal}{again}."),) if refusal else ()
     driven = sorted(table[table["driven"] != 0], key=lambda row: int(row["place"]))
     uses = [
         PinUse(lines[row["place"]], int(use["rises"][row["pin"]]), int(use["pull_ups"][row["pin"]])) for row in driven
     ]
     has_numbers = bool(table["is_number"].any()) if len(table) else not use["has_ports"]
     others = {
-        str(pin) if has_numbers else f"{PORTS[pin // 8]}{pin % 8}": int(use["rises"][pin])
+        _name_pin(pin, has_numbers, bool(use["has_ports"])): int(use["rises"][pin])
         for pin in np.flatnonzero(use["rises"]).tolist()
         if pin not in table["pin"] and (has_numbers or pin < 8 * len(PORTS))
     }
-    return refused + find_wiring_findings(uses, others, {name: axis.chip for name, axis in stage.axes.items()})
+    findings = find_wiring_findings(uses, others, {name: axis.chip for name, axis in stage.axes.items()})
+    return refused + findings + tuple(_find_unread_switches(table, lines, reads["reads"], stage))
+
+
+def _name_pin(pin: int, has_numbers: bool, has_ports: bool) -> str:
+    """Return the name of a pin in messages: its number, or its bit of a port, in C with the number that a program uses.
+
+    Args:
+        pin: Number of the pin.
+        has_numbers: Whether --pins has numbers.
+        has_ports: Whether the program itself has ports.
+    """
+    name = f"{PORTS[pin // 8]}{pin % 8}"
+    return str(pin) if has_numbers else name if has_ports else f"{name} (pin {pin})"
+
+
+def _find_unread_switches(
+    table: np.ndarray, lines: Sequence[PinLine], reads: np.ndarray, stage: Stage
+) -> Iterable[WiringFinding]:
+    """Yield a remark about each asserted switch of an axis with lost steps whose pin the program has never read.
+
+    Args:
+        table: LINE records as the firmware has them.
+        lines: The lines, in the order of `table`.
+        reads: Whether the program has read each pin.
+        stage: Stage with the axes.
+    """
+    for row in sorted(table, key=lambda row: int(row["place"])):
+        line = lines[row["place"]]
+        axis = stage.axes[line.axis]
+        is_asserted = int(axis.chip.state["inputs"]) & line.get_mask(axis.chip)
+        if line.line in SWITCHES and axis.lost_steps and is_asserted and not reads[row["pin"]]:
+            text = (
+                f"{line.axis} has lost steps at a switch, and the program never read {line.axis}.{line.line} = {line.pin}: does it "
+                "read the switch at another pin?"
+            )
+            yield WiringFinding(line.axis, text, is_problem=False)

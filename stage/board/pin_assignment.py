@@ -227,7 +227,7 @@ def _find_unconnected_pins(others: Mapping[str, int], chips: Mapping[str, Chip])
     busiest = max(others, key=lambda pin: others[pin])
     text = (
         f"The program toggles {', '.join(others)}, and no STEP/DIR axis is connected to its pins: write {option}--pins "
-        f"{[*axes, *chips][0]}.step={busiest} and so on (docs/step_dir.md)."
+        f"{[*axes, *chips][0]}.step={busiest.split()[0]} and so on (docs/step_dir.md)."
     )
     return (WiringFinding("", text, others[busiest] >= MIN_RISES),)
 
@@ -291,7 +291,7 @@ def _find_direction_finding(step: PinUse, uses: Sequence[PinUse], others: Mappin
         return WiringFinding(axis, _describe_input(direction))
     if not others or (direction or step).line.is_preset:
         return None
-    pins, name = ", ".join(others), f"{axis}.dir={next(iter(others))}"
+    pins, name = ", ".join(others), f"{axis}.dir={next(iter(others)).split()[0]}"
     observation = f"{direction} never changed" if direction else f"{axis} has no DIR line"
     text = (
         f"{observation}, so that {axis} moves one way only; the program also toggles {pins}. If one of them is its DIR pin, name "

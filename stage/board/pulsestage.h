@@ -240,13 +240,19 @@ struct pulsestage_pin_use { /* for the report of pins that seem to be wired wron
 };
 extern struct pulsestage_pin_use pulsestage_pin_use;
 PULSESTAGE_SHARED struct pulsestage_pin_use pulsestage_pin_use = {{0}, {0}, 0, {0}};
+struct pulsestage_pin_reads {
+    int32_t refusals;       /* calls with a pin or a mode that does not exist */
+    uint8_t reads[PS_PINS]; /* whether the program has read the pin of a switch */
+};
+extern struct pulsestage_pin_reads pulsestage_pin_reads;
+PULSESTAGE_SHARED struct pulsestage_pin_reads pulsestage_pin_reads = {0, {0}};
 
 /* Whether `value` is one of `first` to `last`; the report quotes the first call for which it is not. */
 static inline int ps_check_pin_(const char *function, int pin, const char *what, int value, int first, int last)
 {
     if (value >= first && value <= last)
         return 1;
-    if (!pulsestage_pin_use.refusal[0])
+    if (!pulsestage_pin_reads.refusals++)
         snprintf(pulsestage_pin_use.refusal, sizeof pulsestage_pin_use.refusal, "%s of pin %d did nothing: %s %d is not one of %d to %d",
                  function, pin, what, value, first, last);
     return 0;
@@ -286,6 +292,7 @@ static inline uint32_t ps_read_pins(int first, uint32_t wanted, int64_t cycle)
         const uint32_t place = (uint32_t)(line->pin - first), bit = place > 31 ? 0 : 1u << place & wanted;
         if (line->driven || !bit)
             continue;
+        pulsestage_pin_reads.reads[line->pin] = 1;
         if (line->chip != chip)
             chip = line->chip, word = ps_request(PS_READ_LINES, chip | cycle, 0), cycle = 0;
         if (!(known & bit))

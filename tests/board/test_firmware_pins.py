@@ -208,16 +208,40 @@ def test_an_axis_that_a_board_has_and_a_program_does_not_move_is_no_problem(run)
     assert host.wiring_problems == ()
     host, _ = run(pulse("PS_PIN('D', 3)", 300) + pulse("PS_PIN('D', 2)", 300), pins="grbl,x.step=B5")
     assert [text.split(".")[0:2] for text in host.wiring_problems] == [
-        ["x", "step = B5 never changed; the program toggles D2"]
+        ["x", "step = B5 never changed; the program toggles D2 (pin 26)"]
     ]
 
 
 def test_a_program_for_another_board_has_all_its_step_pins_wrong(run):
     host, _ = run(pulse("PS_PIN('F', 0)", 300), pins="grbl")
     assert [text[: text.index(".", 3)] for text in host.wiring_problems] == [
-        "x.step = D2 never changed; the program toggles F0",
-        "y.step = D3 never changed; the program toggles F0",
+        "x.step = D2 never changed; the program toggles F0 (pin 40)",
+        "y.step = D3 never changed; the program toggles F0 (pin 40)",
     ]
+
+
+def test_a_pin_of_a_program_in_c_is_named_by_its_number_too(run):
+    host, _ = run(pulse(2, 300), pins="x.step=D2,x.dir=D5")
+    assert host.wiring_problems[0].startswith(
+        "x.step = D2 never changed; the program toggles A2 (pin 2). Name its STEP pin"
+    )
+    host, _ = run(pulse(2, 300), pins="x.limit=B1")
+    assert "write --pins x.step=A2 and so on" in host.wiring_problems[0]
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_a_switch_that_a_program_reads_at_another_pin_is_remarked_upon(run, isolated):
+    body = "for (int k = 0; k < 2400 && ps_pin_read(%s); k++) "
+    body += "{ ps_pin_write(2, 1); ps_delay_us(5); ps_pin_write(2, 0); ps_delay_us(245); }"
+    host, _ = run(body % 10, "x.step=2,x.dir=5,x.limit=!9", isolated, x=0.1495)
+    assert host.board.stage.axes["x"].lost_steps
+    (remark,) = host.wiring_findings
+    assert (remark.is_problem, remark.text) == (
+        False,
+        "x has lost steps at a switch, and the program never read x.limit = 9: does it read the switch at another pin?",
+    )
+    host, _ = run(body % 9, "x.step=2,x.dir=5,x.limit=!9", isolated, x=0.1495)
+    assert host.wiring_findings == ()
 
 
 def test_a_step_line_at_the_pin_of_a_direction_is_a_problem_although_it_changes(run):
@@ -323,8 +347,10 @@ def test_firmware_that_makes_no_step_is_reported_and_other_firmware_is_not(run):
 )
 def test_a_pin_or_mode_that_does_not_exist_does_nothing_and_is_quoted(run, call, text):
     pins = "x.step=44,x.limit=9"
-    host, result = run(f"{call}; {call};", pins=pins, before="static void hit(void *n) { (void)n; }")
+    host, result = run(f"{call};", pins=pins, before="static void hit(void *n) { (void)n; }")
     assert host.wiring_problems == (text,)
+    host, result = run(f"{call}; ps_pin_read(999); {call};", pins=pins, before="static void hit(void *n) { (void)n; }")
+    assert host.wiring_problems == (f"{text[:-1]}, the first of 3 such calls.",)
     assert (result.cycles, host.board.stage.axes["x"].chip.step) == (0, False)
 
 
