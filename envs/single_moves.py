@@ -139,14 +139,14 @@ class MoveTrial(StartPositions):
         self.stop = self.rest = 0
 
     def make_program(
-        self, values: Mapping[str, int], distance: int, limit: float, end_on_lost_step: bool = False
+        self, values: Mapping[str, int], distance: int, timeout_s: float, end_on_lost_step: bool = False
     ) -> Program:
         """Make the bus cycles of a move. All programs of a trial have the same length.
 
         Args:
             values: Register values by name.
             distance: Signed distance of the move, pulses.
-            limit: Longest simulated time of the move, s.
+            timeout_s: Longest simulated time of the move, s.
             end_on_lost_step: Whether the move ends at the first lost step.
         """
         p = Program()
@@ -154,20 +154,20 @@ class MoveTrial(StartPositions):
             p.sample_position(self.axis.index)
         self.driver.write_move(p, values, distance)
         self.stop = len(p)  # index of the operation that waits for the stop
-        self.driver.write_stop(p.until_stopped([self.axis.index], limit, keep_step=end_on_lost_step))
+        self.driver.write_stop(p.until_stopped([self.axis.index], timeout_s, keep_step=end_on_lost_step))
         self.rest = len(p)
         p.measure(self.settle, self.point)
         return p.sample_position(self.axis.index) if self.encoder else p
 
-    def is_hopeless(self, program: Program, distance: int, limit: float) -> bool:
-        """Return whether the chip cannot make the pulses within the limit, so that physics need not run.
+    def is_hopeless(self, program: Program, distance: int, timeout_s: float) -> bool:
+        """Return whether the chip cannot make the pulses within `timeout_s`, so that physics need not run.
 
         Args:
             program: Program of `make_program`.
             distance: Signed distance of the move, pulses.
-            limit: Longest simulated time of the move, s.
+            timeout_s: Longest simulated time of the move, s.
         """
-        return self.predictor.predict_pulses(np.array(program.ops[: self.stop], np.int64), limit) != distance
+        return self.predictor.predict_pulses(np.array(program.ops[: self.stop], np.int64), timeout_s) != distance
 
     def read_outcomes(
         self, played: PlayedPrograms, truth: np.ndarray, distance: np.ndarray, count: float = 1.0

@@ -182,7 +182,7 @@ def test_a_frame_after_a_step_shows_the_end_of_that_step(id_, frames, monkeypatc
     env = make_env(id_, "rgb_array")
     env.reset(seed=1)
     assert (env.render() == env.stage.data.qpos).all()
-    ends, act = [], type(env._task).play
+    ends, act = [], type(env._task).play_actions
     monkeypatch.setattr(
         type(env._task), "play_actions", lambda task: (act(task), ends.append(task.stages[0].data.qpos.copy()))
     )

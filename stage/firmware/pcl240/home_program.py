@@ -63,7 +63,7 @@ class FourRunHomeProgram(HomeProgram):
         p.command(a, chip_port.OUTPUT)
         ramp_down = max(fh * fh - fl * fl, 0) * rate // (16384 * c.multiplier) + 5
         p.register(a, chip, "R6", min(leave // 2 + 2, ramp_down))
-        self._add_run(p, "leave", chip_port.PRESET, chip_port.RAMP["FH1"], leave, rest=c.settle if leave else 0.0)
+        self._add_run(p, "leave", chip_port.PRESET, chip_port.RAMP["FH1"], leave, rest_s=c.settle if leave else 0.0)
         self._add_run(
             p,
             "search",
@@ -92,13 +92,13 @@ class FourRunHomeProgram(HomeProgram):
             self._store_result_index("index", p).read(a, 3).command(a, chip_port.OUTPUT)
         return p
 
-    def _add_run(self, program: Program, name: str, control: int, start: int, r0: int, rest: float) -> None:
-        """Add one run: control mode, R0, start command, wait for the end, rest, and reads of status and R0."""
+    def _add_run(self, program: Program, name: str, control: int, start: int, r0: int, rest_s: float) -> None:
+        """Add one run: control mode, R0, start command, wait for the end, wait of `rest_s` seconds, and reads of status and R0."""
         a = self.driver.index
         program.register(a, self.driver.chip, "R0", r0).command(a, chip_port.CONTROL | control).command(a, start)
         self._store_result_index(f"{name} time", program).until_stopped([a], self.settings.limit).command(
             a, chip_port.RESET
-        ).wait(rest)
+        ).wait(rest_s)
         for address in (0, 3, 2, 1):
             self._store_result_index(f"{name} {address}", program).read(a, address)
 
