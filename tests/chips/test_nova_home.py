@@ -39,7 +39,7 @@ def switches(direction, stop2=lambda q: q % 50 == 25):
 
 def put_at(chip, start, direction, **also):
     """Set speeds (50,000 pps and HV 5,000 pps), put the axis at q = `start`, and return its switches."""
-    chip.place = start * direction  # where net = 0 is
+    chip._place = start * direction  # where net = 0 is
     if isinstance(chip, MCX514):
         load(chip, SV=10_000, DV=50_000, HV=5_000, AC=50_000_000, **also)
         set_word(chip, 2, ENABLE_LIMITS)
@@ -52,7 +52,7 @@ def put_at(chip, start, direction, **also):
 
 def press(chip, table):
     for pin, at in table.items():
-        setattr(chip.axes[0].pins, pin, bool(at(chip.place + chip.net(0))))
+        setattr(chip.axes[0].pins, pin, bool(at(chip._place + chip.net(0))))
 
 
 def search(chip, table, code=None, maximum=4000 * MS):
@@ -71,7 +71,10 @@ def search(chip, table, code=None, maximum=4000 * MS):
 
 def go_on(chip, table):
     """Advance to the next pulse that changes a switch, or a little further."""
-    at, pressed = chip.place + chip.net(0), {pin: bool(is_on(chip.place + chip.net(0))) for pin, is_on in table.items()}
+    at, pressed = (
+        chip._place + chip.net(0),
+        {pin: bool(is_on(chip._place + chip.net(0))) for pin, is_on in table.items()},
+    )
     for clock, _, direction in copy.copy(chip).trace(CHUNK).tolist():
         at += direction
         if any(bool(is_on(at)) != pressed[pin] for pin, is_on in table.items()):
@@ -104,7 +107,7 @@ def test_the_search_ends_at_the_same_pulse_wherever_it_starts(where, direction):
     chip = MCX514()
     table = put_at(chip, start, direction, H1M=h1m(direction), TP=-25 * direction)
     assert search(chip, table) == states
-    assert chip.place + chip.net(0) == 400 * direction  # STOP1 at 400, STOP2 at 425, 25 back
+    assert chip._place + chip.net(0) == 400 * direction  # STOP1 at 400, STOP2 at 425, 25 back
     assert home_state(chip) == 0
     assert word(chip, 2) & 0xFF == 0
 
@@ -119,7 +122,7 @@ def test_the_older_chips_search_alike_with_different_state_numbers(where, direct
     back = 0x80 if direction > 0 else 0  # step 4 the other way
     table = put_at(chip, start, direction, HM=HM_STEPS | (HM_MINUS if direction < 0 else 0) | back, P=25)
     assert search(chip, table) == [HMST[state] for state in states]
-    assert chip.place + chip.net(0) == 400 * direction
+    assert chip._place + chip.net(0) == 400 * direction
     assert word(chip, 3) & 0x180 == 0x180  # HMEND, D-END
     assert word(chip, 2) & 0x80 == 0
 
@@ -134,7 +137,7 @@ def test_from_any_start_and_with_any_timer_the_search_finds_the_same_edge(exampl
     states = search(chip, table)
     assert states[-1] == 20
     assert not set(states) - {3, 6, 11, 15, 18, 20}
-    assert chip.place + chip.net(0) == 400 * direction
+    assert chip._place + chip.net(0) == 400 * direction
 
 
 @both_ways
@@ -142,7 +145,7 @@ def test_step_2_against_step_1_finds_the_other_edge(direction):
     chip = MCX514()
     table = put_at(chip, 0, direction, H1M=h1m(direction, S1 | S2) ^ S2_MINUS)
     assert search(chip, table) == [3, 20, 11, 15, 20]
-    assert chip.place + chip.net(0) == 440 * direction
+    assert chip._place + chip.net(0) == 440 * direction
 
 
 @both_ways
@@ -151,7 +154,7 @@ def test_the_limit_can_be_the_signal_of_steps_1_and_2(direction):
     table = put_at(chip, 0, direction, H1M=h1m(direction, S1 | S2, BY_LIMIT | LIMIT_2))
     set_word(chip, 2, ENABLE_LIMITS | ENABLE_STOPS)  # STOP0, STOP1 are passed: their steps do not wait for them
     assert search(chip, table) == [3, 15, 20]
-    assert chip.place + chip.net(0) == 1000 * direction
+    assert chip._place + chip.net(0) == 1000 * direction
     assert word(chip, 2) == (0x1000 if direction > 0 else 0x2000)  # no error
 
 
@@ -160,7 +163,7 @@ def test_the_limit_can_be_the_signal_on_the_older_chips(direction):
     chip = MCX304()
     table = put_at(chip, 0, direction, HM=0x0005 | 0x0400 | (HM_MINUS if direction < 0 else 0))
     assert search(chip, table) == [3, 12, 15]
-    assert chip.place + chip.net(0) == 1000 * direction
+    assert chip._place + chip.net(0) == 1000 * direction
 
 
 def test_stop1_can_be_the_signal_of_step_1():
@@ -220,8 +223,8 @@ def test_an_hv_above_sv_is_reached_by_acceleration_and_still_stops_at_once():
     table = put_at(chip, 250, 1, H1M=S2)
     load(chip, HV=20_000, AC=1_000_000)
     assert search(chip, table) == [20]
-    assert chip.place + chip.net(0) == 400
-    chip.place -= 350
+    assert chip._place + chip.net(0) == 400
+    chip._place -= 350
     press(chip, table)
     command(chip, 0x5A)
     assert page1(chip) & 0x10
@@ -321,7 +324,7 @@ def test_with_sand_step_3_stops_only_while_stop1_is_active():
         chip = make()
         table = put_at(chip, 250, 1, **mode)
         assert search(chip, table) == [28 if make is MCX514 else 20]
-        assert chip.place + chip.net(0) == end
+        assert chip._place + chip.net(0) == end
 
 
 # Ends
@@ -342,7 +345,7 @@ def test_a_limit_in_step_3_is_an_error_and_ends_the_search():
     table = put_at(chip, 800, 1, H1M=S3 | S4, H2M=6, TP=50, LP=1)
     table["stop2"] = lambda p: False
     assert search(chip, table) == [28]
-    assert chip.place + chip.net(0) == 1000
+    assert chip._place + chip.net(0) == 1000
     assert word(chip, 2) == 0x1004
     assert get(chip, READ["LP"]) == 201
 

@@ -73,7 +73,7 @@ def test_the_ranges_are_those_of_the_data_sheets(chip):
 
 @EACH
 def test_a_part_of_a_field_that_no_sentence_covers_has_a_separate_mark(chip):
-    assert chip.MAP.field("operate", "int_at_stop").text.endswith("0 also clears a pending /INT [H]")
-    assert chip.MAP.field("operate", "stop").text.endswith("[I]"), "18h, 19h"
+    assert chip.MAP.field("operate", "int_at_stop").description.endswith("0 also clears a pending /INT [H]")
+    assert chip.MAP.field("operate", "stop").description.endswith("[I]"), "18h, 19h"
     if chip is not PCL240K:
         assert chip.MAP.field("R12", "ez_logic").evidence == "I", "the sheet does not say which value is which"

@@ -138,7 +138,7 @@ def test_the_words_of_an_error_are_the_servers_and_no_bytes_of_the_answers_befor
     """two answers, then a delay in which a timer's hook fails"""
     with served.host() as host:
         host.on_timer(10, lambda: None)
-        host._call_hook = lambda source: host._send(client.HEAD.pack(4, client.RETURN, 0) + b"no!!")
+        host._call_hook = lambda source: host._send_bytes(client.HEAD.pack(4, client.RETURN, 0) + b"no!!")
         with pytest.raises(ServerError) as failed:
             host.batch().in8(0x500).in8(0x502).delay_us(100).run()
         assert failed.value.answers == (0xFF, 0xFF)
