@@ -83,6 +83,7 @@ class AxisReplay:
         switch_edges: Edges of the switches.
         comparisons: Comparisons of the capture's switch lines with the stage's switches.
         violations: Messages about times between edges that were too short for the power stage, each with its number of cases.
+        has_direction: Whether `pins` names a DIR line of the axis; without one, all steps count as plus.
     """
 
     axis: str
@@ -99,6 +100,7 @@ class AxisReplay:
     switch_edges: tuple[SwitchEdge, ...]
     comparisons: tuple[SwitchComparison, ...]
     violations: tuple[tuple[str, int], ...]
+    has_direction: bool = True
 
     @property
     def ok(self) -> bool:
@@ -112,6 +114,8 @@ class AxisReplay:
             f"  from {unit.format(self.start)} to {unit.format(self.position)}, commanded {unit.format(self.commanded)}",
             f"  largest following error {deviation.format(self.largest_error, '.1f')} at {self.error_time:.6f} s",
         ]
+        if self.edges and not self.has_direction:
+            lines.append(f"  all steps count as plus: --pins names no DIR signal, such as {self.axis}.dir=D5")
         if self.disabled:
             lines.append(
                 f"  {self.disabled:,} steps came while ENABLE was not asserted, and the motor had no current: check the signal of "
@@ -333,6 +337,7 @@ def _report_axis(
         (int(observation.error_times[axis.index]) - begin) * 1e-9, tuple(_list_switch_edges(axis, words, times)),
         tuple(_compare_switch(axis, c, words, times) for c in changes if c.line.line not in DRIVEN),
         tuple(_count_violations(axis, state["violations"] - violations)),
+        any(c.line.line == "dir" for c in changes),
     )  # fmt: skip
 
 

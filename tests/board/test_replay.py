@@ -207,6 +207,14 @@ def test_steps_while_the_axis_is_disabled_are_counted_and_explained(tmp_path):
     assert (x.accepted, x.disabled) == (0, 40)
 
 
+def test_steps_without_a_dir_signal_are_said_to_count_as_plus(tmp_path):
+    path = write_capture(tmp_path / "c.vcd", {"S": make_steps(40), "D": [(0, 0), (1000, 1)]}, 10**7)
+    text = "  all steps count as plus: --pins names no DIR signal, such as x.dir=D5"
+    assert text in str(replay_capture(make_stage(), path, "x.step=S")).splitlines()
+    report = replay_capture(make_stage(), path, "x.step=S,x.dir=D")
+    assert (text not in str(report), report.axes[0].commanded) == (True, pytest.approx(-125e-6))
+
+
 @pytest.mark.parametrize(("drops_edges", "accepted"), [(False, 40), (True, 0)])
 def test_a_step_too_short_for_the_power_stage_is_reported(tmp_path, drops_edges, accepted):
     path = write_capture(tmp_path / "c.vcd", {"D2": make_steps(40, high=1500)}, 10**7)
