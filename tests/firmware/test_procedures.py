@@ -653,7 +653,8 @@ def test_a_wait_ends_at_its_time_and_polls_more_slowly_up_to_every_two_milliseco
     (50,139 looks) it is every 50,000th of what has passed: 50,000 ln(100) = 230,259 looks more at 10,000 s."""
 
     class Clock:
-        time, name, chip_axis, waits, chip = 0.0, "x", 0, 0, SimpleNamespace(busy=lambda k: True)
+        time, name, chip_axis, waits = 0.0, "x", 0, 0
+        chip = SimpleNamespace(busy=lambda k: True, explain_missing_current=lambda k: "")
 
         def wait(self, seconds):
             self.time += seconds
