@@ -207,7 +207,7 @@ def test_steps_while_the_axis_is_disabled_are_counted_and_explained(tmp_path):
     assert (x.accepted, x.disabled) == (0, 40)
 
 
-def test_steps_without_a_dir_signal_are_said_to_count_as_plus(tmp_path):
+def test_a_replay_reports_that_steps_without_a_dir_signal_count_as_plus(tmp_path):
     path = write_capture(tmp_path / "c.vcd", {"S": make_steps(40), "D": [(0, 0), (1000, 1)]}, 10**7)
     text = "  all steps count as plus: --pins names no DIR signal, such as x.dir=D5"
     assert text in str(replay_capture(make_stage(), path, "x.step=S")).splitlines()
