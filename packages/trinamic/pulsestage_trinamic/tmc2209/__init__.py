@@ -15,13 +15,13 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
+from pulsestage_trinamic.step_dir_registers import StepDirRegisters
 from pulsestage_trinamic.tmc2209 import core, lint, maps, power_stage
 from pulsestage_trinamic.tmc2209.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc2209.maps import MAP
 from pulsestage_trinamic.tmc2209.state import MS1, MS2
 from pulsestage_trinamic.tmc2209.uart_port import UartPort
 from stage.chips.diagnostics import Finding
-from stage.chips.stepdir import STEPDIR
 from stage.chips.stepdir.line_names import Line
 from stage.errors import ArgumentError
 
@@ -30,7 +30,7 @@ __all__ = ["TMC2209"]
 DEFAULT_BAUD = 115_200
 
 
-class TMC2209(STEPDIR):
+class TMC2209(StepDirRegisters):
     """STEP/DIR axis with a TMC2209. Pins are True while asserted or high; hosts read its outputs DIAG and INDEX like switches.
 
     Positions count in the microsteps of the axis' Drive, whatever the chip is set to: a host whose steps per millimeter do not fit
@@ -93,31 +93,7 @@ class TMC2209(STEPDIR):
         c["vref"] = min(1.0, drive.amplitude / full_scale)
         c["ir_share"] = drive.motor.resistance / drive.bus_voltage
 
-    # --- registers ---
-
-    @property
-    def microsteps(self) -> int:
-        """Microsteps of a full step that the chip makes of a step now."""
-        return PLACES_PER_FULL_STEP // int(core.get_step_places.with_gil(self.pointer))
-
-    @property
-    def amplitude(self) -> float:
-        """Amplitude of the phase currents now, A."""
-        return float(core.read_motor_current.with_gil(self.pointer, 0))
-
-    def read_register(self, name: str) -> int:
-        """Return what a register holds, also one that cannot be read, by its name; no time passes. Raises ArgumentError."""
-        register = MAP.register(name)
-        return int(register.value(core.get_register_value.with_gil(self.pointer, register.number)))
-
-    def write_register(self, name: str, value: int) -> None:
-        """Write a register by its name, by one bus cycle and without the UART. Raises ArgumentError."""
-        for address, datum in self.register_cycles(name, value):
-            self.write(address, datum)
-
-    @classmethod
-    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        return [(address, datum & maps.M32) for address, datum in super().register_cycles(name, value, axis)]
+    # --- load and current ---
 
     def set_load(self, lam: int, emf: int = 1024) -> None:
         """Set the load that StallGuard4 measures from now on, for a chip that is not on a stage. Journals do not record it.
@@ -145,10 +121,6 @@ class TMC2209(STEPDIR):
         )
 
     # --- interface of the chip registry ---
-
-    def values(self) -> dict[str, int]:
-        pointer = self.pointer
-        return {r.name: r.value(core.get_register_value.with_gil(pointer, r.number)) for r in MAP.registers}
 
     def lint(self, address: int, value: int) -> Iterator[Finding]:
         yield from lint.lint_write(self._record, address, value)

@@ -13,11 +13,10 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
-from pulsestage_trinamic.tmc5160.maps import M32
+from pulsestage_trinamic.step_dir_registers import StepDirRegisters
 from pulsestage_trinamic.tmc5160_step_dir import core, maps
 from pulsestage_trinamic.tmc5160_step_dir.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc5160_step_dir.maps import MAP
-from stage.chips.stepdir import STEPDIR
 from stage.chips.stepdir.line_names import Line
 from stage.errors import ArgumentError
 
@@ -26,7 +25,7 @@ __all__ = ["StepDirTMC5160"]
 SPI_DATAGRAM = maps.SPI_BASE + 2
 
 
-class StepDirTMC5160(STEPDIR):
+class StepDirTMC5160(StepDirRegisters):
     """STEP/DIR axis with a TMC5160. After power-up the power stage is off (TOFF = 0) and a step is 1/256 full step.
 
     Positions count in the microsteps of the axis' Drive, whatever MRES is.
@@ -77,7 +76,7 @@ class StepDirTMC5160(STEPDIR):
         super().fit_drive(drive, axis)
         self._record["unit"] = PLACES_PER_FULL_STEP // drive.microsteps
 
-    # --- SPI and registers ---
+    # --- SPI, load and current ---
 
     def transfer(self, datagram: bytes) -> bytes:
         """Send an SPI datagram of 5 bytes and return the 5 bytes of the answer to the one before. Raises ArgumentError."""
@@ -85,30 +84,6 @@ class StepDirTMC5160(STEPDIR):
             raise ArgumentError(f"transfer({bytes(datagram)!r}): a datagram has 5 bytes, address first.")
         self.write(SPI_DATAGRAM, int.from_bytes(datagram, "big"))
         return int(self.read(SPI_DATAGRAM)).to_bytes(5, "big")
-
-    @property
-    def microsteps(self) -> int:
-        """Microsteps of a full step that the chip makes of a step now."""
-        return PLACES_PER_FULL_STEP // int(core.get_step_places.with_gil(self.pointer))
-
-    @property
-    def amplitude(self) -> float:
-        """Amplitude of the phase currents now, A."""
-        return float(core.read_motor_current.with_gil(self.pointer, 0))
-
-    def read_register(self, name: str) -> int:
-        """Return what a register holds, also one that cannot be read, by its name; no time passes. Raises ArgumentError."""
-        register = MAP.register(name)
-        return int(register.value(core.get_register_value.with_gil(self.pointer, register.number)))
-
-    def write_register(self, name: str, value: int) -> None:
-        """Write a register by its name, by one bus cycle and without SPI. Raises ArgumentError."""
-        for address, datum in self.register_cycles(name, value):
-            self.write(address, datum)
-
-    @classmethod
-    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        return [(address, datum & M32) for address, datum in super().register_cycles(name, value, axis)]
 
     def set_load(self, lam: int, emf: int = 1024) -> None:
         """Set the load that StallGuard2 measures from now on, for a chip that is not on a stage. Journals do not record it.
@@ -135,10 +110,6 @@ class StepDirTMC5160(STEPDIR):
         return "its power stage is off (TOFF = 0, ENABLE not asserted, a fault, or FREEWHEEL at IHOLD = 0)"
 
     # --- interface of the chip registry ---
-
-    def values(self) -> dict[str, int]:
-        pointer = self.pointer
-        return {r.name: r.value(core.get_register_value.with_gil(pointer, r.number)) for r in MAP.registers}
 
     def decoder(self, axis: int = 0) -> Decoder:
         self._check_axis(axis)
