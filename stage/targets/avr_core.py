@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board.bus.host_record import IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES, UNTIL
+from stage.board.bus.host_record import HOST, IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES, UNTIL
 from stage.native import array_at, declare_address_call, exported, hot, record
 from stage.sim.stage_handle import INTEGER
 from stage.targets.processor_core import PROCESSOR_FIELDS, advance_board, bus_cycle, compute_time, request
@@ -62,8 +62,10 @@ PULLED_PORT = record([(name, "i8") for name in "pulls request".split()])
 """A port with read lines: simavr's avr_ioport_external_t, and the request that sets it."""
 PULL_VALUE = 15
 """Position of the levels in avr_ioport_external_t; seven bits of a name and eight of a mask are in front of them."""
-LINES = record([(name, "i8") for name in "ports n_ports read n_read ioctl".split()])
-"""Lines at the pins of an AVR: LINE_PORT and READ_LINE records; the address of avr_ioctl."""
+LINES = record([(name, "i8") for name in "ports n_ports read n_read ioctl has_chip_outputs reached".split()])
+"""Lines at the pins of an AVR: LINE_PORT and READ_LINE records; the address of avr_ioctl; whether one of them is an output of a
+chip, not of a switch; the stage's time (ns) when the lines were last read."""
+NEVER = -1
 STATE, WAIT = np.dtype("u4"), np.dtype("i1")
 ONE_MORE = -1
 """Of interrupt_wait: after SEI and two instructions interrupts are served; 1: one waits."""
@@ -203,9 +205,14 @@ def drive_line_directions(_irq, value, port):
 def _update_read_lines(cpu):
     """Set the pins that the program reads to the switches that have changed.
 
+    While the stage stays behind the host, no switch changes, and only outputs of chips need to be read.
+
     simavr raises the level of an internal pull-up at each write to the PORT register. It keeps the level of an external one.
     """
-    lines = array_at(cpu.lines, 1, LINES)[0]
+    lines, host = array_at(cpu.lines, 1, LINES)[0], array_at(cpu.host, 1, HOST)[0]
+    if lines.reached == host.reached and not lines.has_chip_outputs:
+        return
+    lines.reached = host.reached
     rows, asserted = array_at(lines.read, lines.n_read, READ_LINE), 0
     for k in range(len(rows)):
         row = rows[k]
@@ -231,6 +238,7 @@ def _initialize_lines(cpu):
     ports = array_at(lines.ports, lines.n_ports, LINE_PORT)
     for k in range(len(ports)):
         _drive_lines(ports[k], 0xFF)
+    lines.reached = NEVER
     _update_read_lines(cpu)
 
 

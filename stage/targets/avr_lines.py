@@ -10,6 +10,7 @@ import numpy as np
 
 from stage.board.board import Board
 from stage.board.pin_assignment import DRIVEN, PinLine, PinUse, WiringFinding, find_wiring_findings
+from stage.chips.stepdir.line_names import POWER_STAGE_OUTPUTS
 from stage.errors import ArgumentError
 from stage.targets import avr_core
 from stage.targets.avr_bus import DIRECTION_ALL, encode_ioctl_request
@@ -53,7 +54,10 @@ class AvrLines:
         self._connect_driven_lines(sorted(place for place in places if place[2].line in DRIVEN), avr)
         self._connect_read_lines(sorted(place for place in places if place[2].line not in DRIVEN), avr)
         tables = (value for table in (self._ports, self._read) for value in (table.ctypes.data, len(table)))
-        self._row = np.array([(*tables, avr.find_function_address("avr_ioctl"))], avr_core.LINES)
+        has_chip_outputs = any(line.line in POWER_STAGE_OUTPUTS for line in lines)
+        self._row = np.array(
+            [(*tables, avr.find_function_address("avr_ioctl"), has_chip_outputs, avr_core.NEVER)], avr_core.LINES
+        )
         avr.record.lines = self._row.ctypes.data
 
     def find_wiring_findings(self, pwm_outputs: Mapping[tuple[int, int], str]) -> tuple[WiringFinding, ...]:

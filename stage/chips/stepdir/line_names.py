@@ -11,12 +11,13 @@ if TYPE_CHECKING:
 
 DRIVEN = {"step": ("step",), "dir": ("dir",), "enable": ("enable",)}
 """Lines that a host drives -> input pins of the axis."""
+POWER_STAGE_OUTPUTS = ("diag", "diag0", "diag1", "index")
+"""Lines that only axes have whose power stage has such outputs."""
 READ = {
     "limit": ("el_plus", "el_minus"), "limit_plus": ("el_plus",), "limit_minus": ("el_minus",), "origin": ("org",),
-    "probe": ("probe",), "diag": ("diag",), "diag0": ("diag0",), "diag1": ("diag1",), "index": ("index",),
+    "probe": ("probe",), **{name: (name,) for name in POWER_STAGE_OUTPUTS},
 }  # fmt: skip
-"""Lines that a host reads -> pins of the axis; the line is asserted while one of them is. Only axes whose power stage has such
-outputs have the last four."""
+"""Lines that a host reads -> pins of the axis; the line is asserted while one of them is."""
 
 
 def has_line(chip: Chip, name: str) -> bool:
