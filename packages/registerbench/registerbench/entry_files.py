@@ -23,7 +23,7 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -155,22 +155,6 @@ def read_entries(path: str | os.PathLike) -> dict[str, Entry]:
     if Path(path).suffix != ".zip":
         return {Path(path).name: read_entry(path)}
     return {name: unpack_entry(content, f"{path}/{name}") for name, content in _read_archive(Path(path)).items()}
-
-
-def write_archive(archive: str | os.PathLike, paths: Iterable[str | os.PathLike], overwrite: bool = False) -> None:
-    """Pack files of entries into an archive; equal files give equal bytes.
-
-    Args:
-        archive: Path of the archive.
-        paths: Paths of the entries.
-        overwrite: Whether to replace an existing archive.
-
-    Raises:
-        FileError: The archive cannot be written.
-    """
-    with write_atomically(archive, overwrite) as part, zipfile.ZipFile(part, "w") as packed:
-        for path in sorted(map(Path, paths)):
-            packed.writestr(zipfile.ZipInfo(path.name, ZIP_DATE), path.read_bytes())
 
 
 def _read_archive(path: Path, members: Sequence[str] = ()) -> dict[str, bytes]:
