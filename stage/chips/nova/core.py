@@ -12,13 +12,14 @@ from stage.chips.core_interface import run_slices
 from stage.chips.nova import state
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
-from stage.chips.nova.bus.parameters_and_axis_status import compute_ramp_phase_bits, find_lowest_axis, is_axis_busy
+from stage.chips.nova.bus.parameters import find_lowest_axis
 from stage.chips.nova.functions import comparators, encoder, external_drives, home_search, synchronous_actions
 from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.functions import input_pins as pins_in
 from stage.chips.nova.interpolation import interpolator as interpolation
 from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.motion import pulse_trace, single_axis_drive
+from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
 from stage.chips.nova.motion.pulse_output import (
     compute_pulse_pins,
     compute_pulse_width,

@@ -6,18 +6,13 @@ Speeds and accelerations are written in multiples of R; rate_registers.py conver
 from __future__ import annotations
 
 from stage.chips.nova import common_reset, state
-from stage.chips.nova.bus.parameters_and_axis_status import (
-    compute_ramp_phase_bits,
-    find_lowest_axis,
-    is_axis_busy,
-    list_parameters,
-    to_parameter_value,
-)
+from stage.chips.nova.bus.parameters import find_lowest_axis, list_parameters, to_parameter_value
 from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.functions import home_search
 from stage.chips.nova.functions.input_pins import set_active_high
 from stage.chips.nova.interpolation import mcx312_commands as interpolation312
 from stage.chips.nova.motion import counters, rate_registers, single_axis_drive
+from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP, RESET
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
 from stage.chips.nova.registers.mcx300_words import DELAYS

@@ -6,19 +6,14 @@ A command that writes data takes it from WR6 and WR7; a command that reads data 
 from __future__ import annotations
 
 from stage.chips.nova import common_reset, state
-from stage.chips.nova.bus.parameters_and_axis_status import (
-    compute_ramp_phase_bits,
-    find_lowest_axis,
-    is_axis_busy,
-    list_parameters,
-    to_parameter_value,
-)
+from stage.chips.nova.bus.parameters import find_lowest_axis, list_parameters, to_parameter_value
 from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.functions import home_search, synchronous_actions, timer
 from stage.chips.nova.functions.input_pins import set_active_high
 from stage.chips.nova.interpolation import mcx514_commands as prebuffer
 from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.motion import rate_registers, single_axis_drive
+from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
 from stage.chips.nova.registers.mcx514 import GENERATION
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.native import exported, hot

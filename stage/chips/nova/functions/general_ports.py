@@ -7,8 +7,8 @@ its level. OUT0 to OUT3 of the older chips are those of WR4, or with OUTSL CMP+,
 
 from __future__ import annotations
 
-from stage.chips.nova.bus.parameters_and_axis_status import compute_ramp_phase_bits, is_axis_busy
 from stage.chips.nova.motion import counters
+from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
 from stage.chips.nova.registers.field_builders import DCC_WIDTHS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
