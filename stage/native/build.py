@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import NativeError
-from stage.native import load, object_files
+from stage.native import library_manifest, object_files
 from stage.support.subprocesses import ENCODING, ERRORS
 
 NUMBA = "0.68.1"
@@ -46,7 +46,7 @@ def build_missing(package: str, why: str) -> Path:
 
     Args:
         package: Name of the package.
-        why: Result of `load.explain_library_misfit`, for the error.
+        why: Result of `library_manifest.explain_library_misfit`, for the error.
 
     Returns:
         Path of the library.
@@ -57,7 +57,7 @@ def build_missing(package: str, why: str) -> Path:
     lacking = [name for name in ("numba", "llvmlite") if find_spec(name) is None]
     if lacking:
         raise NativeError(
-            f"{why}; and {' and '.join(lacking)}, to build it, are not installed. {load.advise_install(package)}"
+            f"{why}; and {' and '.join(lacking)}, to build it, are not installed. {library_manifest.advise_install(package)}"
         )
     return build_library(package)
 
@@ -74,7 +74,7 @@ def build_library(package: str) -> Path:
     Raises:
         NativeError: The library cannot be built or written.
     """
-    places = load.find_package_folders(package)
+    places = library_manifest.find_package_folders(package)
     folder = places[package]
     try:
         try:
@@ -93,26 +93,26 @@ def build_library(package: str) -> Path:
 
 def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
     """Build the library of a package in a folder, and return its path."""
-    path = folder / load.NAME
-    if not load.explain_library_misfit(package, path):
+    path = folder / library_manifest.NAME
+    if not library_manifest.explain_library_misfit(package, path):
         return path  # somebody else has built it meanwhile
     if (installed := version("numba")) != NUMBA:
         raise NativeError(
             f"libraries are built with numba {NUMBA}, and {installed} is installed: pip install numba=={NUMBA}."
         )
-    roots = places | load.find_package_folders("stage")
-    known = {module: Path(source) for module, source in load.list_modules(roots)}
+    roots = places | library_manifest.find_package_folders("stage")
+    known = {module: Path(source) for module, source in library_manifest.list_modules(roots)}
     parts = _list_parts(package, places)
     object_cache = folder / "__pycache__"
     object_cache.mkdir(exist_ok=True)
-    processor, needs = load.BASELINES.get(platform.machine(), ("", ()))
+    processor, needs = library_manifest.BASELINES.get(platform.machine(), ("", ()))
     sources: dict[str, str] = {}
     objects, missing = [], []
     for name, modules in parts.items():
         closure = _find_dependencies(modules, known)
-        sources |= {m.partition(" ")[0]: load.digest_file(known[m.partition(" ")[0]]) for m in closure}
+        sources |= {m.partition(" ")[0]: library_manifest.digest_file(known[m.partition(" ")[0]]) for m in closure}
         digest = hashlib.sha256(
-            json.dumps([modules, closure, NUMBA, load.describe_target(), processor]).encode()
+            json.dumps([modules, closure, NUMBA, library_manifest.describe_target(), processor]).encode()
         ).hexdigest()[:16]
         target = object_cache / f"{name}-{digest}.o"
         objects.append(target)
@@ -123,8 +123,8 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
     say = _ProgressLine(f"PulseStage: building the native library of {package}", len(missing), len(parts))
     _emit_objects([part for _, part in sorted(missing, reverse=True)], roots, processor, say)
     manifest = {
-        "digest": load.NO_DIGEST,
-        "target": load.describe_target(),
+        "digest": library_manifest.NO_DIGEST,
+        "target": library_manifest.describe_target(),
         "needs": list(needs),
         "numba": NUMBA,
         "sources": sources,
@@ -136,8 +136,8 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
         )
         if sys.platform == "linux":  # elsewhere the linker signs
             content = temporary.read_bytes()
-            digest = load.digest_content(content, load.NO_DIGEST)
-            temporary.write_bytes(content.replace(load.NO_DIGEST.encode(), digest.encode(), 1))
+            digest = library_manifest.digest_content(content, library_manifest.NO_DIGEST)
+            temporary.write_bytes(content.replace(library_manifest.NO_DIGEST.encode(), digest.encode(), 1))
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -148,7 +148,7 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
 def _list_parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
     """Return for each part the modules that export functions, in the folder of the part and below it."""
     parts: dict[str, list[str]] = {}
-    for module in load.find_exporting_modules(places):
+    for module in library_manifest.find_exporting_modules(places):
         folder = module.rpartition(".")[0]
         parts.setdefault(".".join(folder.split(".")[:DEPTH]), []).append(module)
     if not parts:
@@ -271,7 +271,7 @@ def _write_manifest_object(manifest: dict[str, Any], object_cache: Path) -> Path
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    content = load.MARK + json.dumps(manifest).encode() + b"\0"
+    content = library_manifest.MARK + json.dumps(manifest).encode() + b"\0"
     text = "".join(f"\\{byte:02x}" for byte in content)
     module = llvm.parse_assembly(f'@pulsestage_manifest = constant [{len(content)} x i8] c"{text}"')
     machine = llvm.Target.from_default_triple().create_target_machine(reloc="pic", codemodel="default")

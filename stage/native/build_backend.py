@@ -18,7 +18,7 @@ from setuptools.build_meta import *  # noqa: F403
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # the sources, not what may be installed
 
-from stage.native import build, index_page, load  # noqa: E402
+from stage.native import build, index_page, library_manifest  # noqa: E402
 
 LINKER = "ziglang==0.15.2"
 index_page.write_index_page(ROOT)  # pyproject.toml names it, and every hook reads that
@@ -26,7 +26,7 @@ index_page.write_index_page(ROOT)  # pyproject.toml names it, and every hook rea
 
 def list_requirements() -> list[str]:
     """List the distributions that the build of the library needs; none if the library is up to date."""
-    if not load.explain_library_misfit("stage", ROOT / "stage" / load.NAME):
+    if not library_manifest.explain_library_misfit("stage", ROOT / "stage" / library_manifest.NAME):
         return []
     linkers = [] if any(map(shutil.which, build.COMPILERS)) else [LINKER]
     return [f"numba=={build.NUMBA}", *linkers]

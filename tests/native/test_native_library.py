@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stage import NativeError
-from stage.native import COMPILED, build, compile_errors, load, object_files
+from stage.native import COMPILED, build, compile_errors, library_manifest, object_files
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
@@ -159,8 +159,8 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
 
 
 def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
-    places = load.find_package_folders("stage")
-    known = {module: Path(source) for module, source in load.list_modules(places)}
+    places = library_manifest.find_package_folders("stage")
+    known = {module: Path(source) for module, source in library_manifest.list_modules(places)}
     parts = build._list_parts("stage", places)
     assert [name for name in parts if "stage.sim.engine" in build._find_dependencies(parts[name], known)] == [
         "stage.sim"
@@ -205,17 +205,19 @@ def test_a_new_module_is_missed_wherever_the_project_file_is(toy, project):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"target": "plan9-vax"}, f"was built for plan9-vax, this is {load.describe_target()}"),
+        ({"target": "plan9-vax"}, f"was built for plan9-vax, this is {library_manifest.describe_target()}"),
         (
-            {"needs": [*sorted(load.read_features())[:1], "telepathy", "luck"]},
+            {"needs": [*sorted(library_manifest.read_features())[:1], "telepathy", "luck"]},
             "a processor with telepathy, luck, which this one",
         ),
     ],
 )
 def test_a_library_for_another_machine_is_refused_in_words(toy, change, words):
-    path = toy / "toy" / load.NAME
-    manifest = load.read_manifest(path)
-    path.write_bytes(load.MARK + json.dumps(manifest | change | {"digest": load.NO_DIGEST}).encode() + b"\0")
+    path = toy / "toy" / library_manifest.NAME
+    manifest = library_manifest.read_manifest(path)
+    path.write_bytes(
+        library_manifest.MARK + json.dumps(manifest | change | {"digest": library_manifest.NO_DIGEST}).encode() + b"\0"
+    )
     done = run(toy, WITHOUT_NUMBA + RUN, check=False)
     assert done.returncode == 1
     assert words in done.stderr
@@ -226,7 +228,7 @@ def test_a_library_for_another_machine_is_refused_in_words(toy, change, words):
 )
 def test_a_file_that_is_no_library_is_rebuilt_or_an_error(toy, damage):
     """truncate -s -100 toy/_native.so; python -c "from toy.core import stepped; print(stepped(40))\""""
-    path = toy / "toy" / load.NAME
+    path = toy / "toy" / library_manifest.NAME
     content = path.read_bytes()
     if damage == "missing":
         path.unlink()
@@ -239,7 +241,7 @@ def test_a_file_that_is_no_library_is_rebuilt_or_an_error(toy, damage):
 
 
 def test_a_library_with_a_byte_flipped_is_not_loaded(toy):
-    path = toy / "toy" / load.NAME
+    path = toy / "toy" / library_manifest.NAME
     content = bytearray(path.read_bytes())
     content[len(content) // 3] ^= 0x40
     path.write_bytes(content)
@@ -276,11 +278,11 @@ def test_a_damaged_object_in_the_cache_is_rebuilt(toy):
     (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
     content = part.read_bytes()
     part.write_bytes(flipped(content))
-    (toy / "toy" / load.NAME).unlink()
+    (toy / "toy" / library_manifest.NAME).unlink()
     done = run(toy)
     assert (done.stdout, "1 of 1 parts" in done.stderr) == ("42\n", True)
     assert part.read_bytes() == content
-    (toy / "toy" / load.NAME).unlink()
+    (toy / "toy" / library_manifest.NAME).unlink()
     assert "0 of 1 parts" in run(toy).stderr, "and kept"
 
 
@@ -421,11 +423,11 @@ def test_processes_that_start_at_once_build_it_once(toy):
     finished = [p.communicate() for p in started]
     assert [out for out, _ in finished] == ["49\n"] * 2
     assert sum("building" in err for _, err in finished) == 1
-    assert not list((toy / "toy").glob(f"{load.NAME}.*"))
+    assert not list((toy / "toy").glob(f"{library_manifest.NAME}.*"))
 
 
 def test_without_home_and_in_a_read_only_folder_it_runs(toy):
-    for path in (toy / "toy" / load.NAME, toy / "toy", toy):
+    for path in (toy / "toy" / library_manifest.NAME, toy / "toy", toy):
         path.chmod(0o555)
     try:
         done = run(toy, WITHOUT_NUMBA + RUN, HOME="/nonexistent", PYTHONDONTWRITEBYTECODE="1")
@@ -436,9 +438,9 @@ def test_without_home_and_in_a_read_only_folder_it_runs(toy):
 
 
 def test_uncompiled_it_needs_no_library(toy):
-    (toy / "toy" / load.NAME).unlink()
+    (toy / "toy" / library_manifest.NAME).unlink()
     assert run(toy, WITHOUT_NUMBA + RUN, NUMBA_DISABLE_JIT="1").stdout == "42\n"
-    assert not (toy / "toy" / load.NAME).exists()
+    assert not (toy / "toy" / library_manifest.NAME).exists()
 
 
 def test_the_builder_says_where_the_library_is(toy):
@@ -446,12 +448,12 @@ def test_the_builder_says_where_the_library_is(toy):
         [sys.executable, "-m", "stage.native", "toy"], cwd=toy, capture_output=True, text=True, check=True,
         env=os.environ | {"PYTHONPATH": str(toy)},
     )  # fmt: skip
-    assert Path(done.stdout.strip()) == (toy / "toy" / load.NAME).resolve()
+    assert Path(done.stdout.strip()) == (toy / "toy" / library_manifest.NAME).resolve()
 
 
 def test_a_missing_package_is_named():
     with pytest.raises(NativeError, match="'no_such_package' cannot be found"):
-        load.find_package_folders("no_such_package")
+        library_manifest.find_package_folders("no_such_package")
 
 
 def test_a_library_is_linked_by_the_first_compiler_installed(tmp_path, monkeypatch):
@@ -508,21 +510,23 @@ def test_the_library_of_a_read_only_package_belongs_to_the_process(tmp_path, mon
     A package of root's, used by somebody else: a private folder, gone with the process, and no name that somebody can guess."""
     planted = tmp_path / "temporary" / f"pulsestage-{os.getuid()}"
     planted.mkdir(parents=True)
-    (planted / load.NAME).write_text("evil")
+    (planted / library_manifest.NAME).write_text("evil")
     monkeypatch.setattr(build.tempfile, "tempdir", str(planted.parent))
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(build.os, "access", lambda folder, how: False)
     monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
     monkeypatch.setattr(
-        build, "_link_library", lambda objects, manifest, path, all_symbols_needed: path.write_text(load.NO_DIGEST)
+        build,
+        "_link_library",
+        lambda objects, manifest, path, all_symbols_needed: path.write_text(library_manifest.NO_DIGEST),
     )
     at_exit = []
     monkeypatch.setattr(build.atexit, "register", lambda *call, **how: at_exit.append((call, how)))
     folder = build.build_library("toy").parent
     assert folder.parent == planted.parent
     assert folder != planted
-    assert (planted / load.NAME).read_text() == "evil"
+    assert (planted / library_manifest.NAME).read_text() == "evil"
     assert folder.stat().st_mode & 0o777 == 0o700
     assert [path.name for path in (tmp_path / "toy").iterdir() if path.suffix == ".so"] == []
     (((function, *arguments), how),) = [(call, how) for call, how in at_exit if folder in call]
@@ -547,13 +551,13 @@ def test_settings_of_numba_do_not_reach_the_processes_that_compile(tmp_path, mon
 
 def test_a_library_that_was_built_with_another_pulsestage_is_refused_in_words(toy, monkeypatch):
     monkeypatch.syspath_prepend(toy)
-    monkeypatch.setattr(load, "find_spec", lambda name: find_spec(name) if name != "toy" else spec_of_toy)
+    monkeypatch.setattr(library_manifest, "find_spec", lambda name: find_spec(name) if name != "toy" else spec_of_toy)
     spec_of_toy = importlib.util.spec_from_file_location(
         "toy", toy / "toy" / "__init__.py", submodule_search_locations=[str(toy / "toy")]
     )
-    before = load.digest_file
+    before = library_manifest.digest_file
     monkeypatch.setattr(
-        load, "digest_file", lambda source: "another" if "arithmetic" in str(source) else before(source)
+        library_manifest, "digest_file", lambda source: "another" if "arithmetic" in str(source) else before(source)
     )
-    text = load.explain_library_misfit("toy", toy / "toy" / load.NAME)
+    text = library_manifest.explain_library_misfit("toy", toy / "toy" / library_manifest.NAME)
     assert text.endswith("was built with another version of PulseStage: stage.native.arithmetic is not as it was there")
