@@ -35,6 +35,12 @@ def move(c, places, clocks):
 
 
 @hot
+def count_moves(c):
+    """Return the number of steps that the field has made."""
+    return c.moves
+
+
+@hot
 def compute_lag(c, at):
     """Return by how many places the interpolated field is behind `field` at a clock, from the steps that are still remembered."""
     lag = 0.0

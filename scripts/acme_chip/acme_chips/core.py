@@ -1,10 +1,12 @@
 """The ACME1000, compiled: what the silicon does, from one event to the next: a pulse, or a step of speed."""
 
-import numpy as np
+import sys
 
 from acme_chips.maps import MAP
-from stage.chips.core_interface import run_slices
-from stage.native import array_of, exported, greatest, hot, least, record
+from stage.chips.event_loop import EDGE, PULSE, make_event_functions
+from stage.native import exported, greatest, hot, least, record
+
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 INPUTS = {"el_plus": 1, "el_minus": 2, "org": 4}
 OUTPUTS = {"run": 1, "up": 2, "down": 4}
@@ -17,6 +19,7 @@ STATE = record(
         ("hz", "i8"),  # of the reference clock
         ("inputs", "i8"),  # pins
         ("net", "i8"),  # pulses ever, plus minus minus
+        ("pulses", "i8"),  # pulses ever
         ("reg", "i8", (5,)),  # START, DRIVE, SLOPE, COUNT at their addresses
         ("control", "i8"),  # the control word that started it
         ("way", "i8"),  # 1, -1; 0 at rest
@@ -28,8 +31,6 @@ STATE = record(
         ("ending", "i8"),  # and stops there
     ]
 )
-PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs counter net".split()] + [("rate", "f8")])
 
 
 @hot
@@ -50,6 +51,7 @@ def _millisecond(c):
 @hot
 def _pulse(c):
     c.net += c.way
+    c.pulses += 1
     c.phase -= c.hz
     if c.control & PRESET:
         c.reg[COUNT] -= 1
@@ -74,8 +76,8 @@ def _step(c):
 
 
 @hot
-def _event(c, until):
-    """Up to the next pulse or step of speed, or `until`; it is on its way."""
+def _process_next_event(c, until):
+    """Go to the next pulse or step of speed, or to `until`."""
     rate = least(c.speed, c.hz)  # one pulse a clock at most
     n = least(least(until, c.step) - c.clock, -((c.phase - c.hz) // rate))
     c.clock += n
@@ -86,70 +88,31 @@ def _event(c, until):
         _step(c)
 
 
-@exported(None, STATE, "i8")
-def run(c, until):
-    """The clock runs up to `until`."""
+@hot
+def _advance_to_event(c, until):
+    """Let time pass to the next pulse or change of speed, or to `until`, and return whether one happened."""
     while c.way and c.clock < until:
-        _event(c, until)
+        pulses, speed = c.pulses, c.speed
+        _process_next_event(c, until)
+        if c.pulses != pulses or c.speed != speed:
+            return True
     c.clock = until
+    return False
 
 
-@exported("i8", STATE, "i8")
-def advance(c, until):
-    """Let the clock run up to `until`, and return the number of pulses."""
-    before = c.net  # no pulse changes the direction: only a write does
-    run(c, until)
-    return abs(c.net - before)
+@hot
+def _count_pulses(c):
+    return c.pulses
 
 
-@exported("i8", STATE, "i8", array_of(PULSE))
-def trace_pulses(c, until, out):
-    """Let the clock run as `advance` does, and write the pulses."""
-    k = 0
-    while c.way and c.clock < until:
-        way, net = c.way, c.net
-        _event(c, until)
-        if c.net != net:
-            out[k].clock, out[k].axis, out[k].direction = c.clock, 0, way
-            k += 1
-    c.clock = until
-    return k
+@hot
+def _get_direction(c):
+    return -1 if c.control & MINUS else 1
 
 
-@exported(None, STATE, "i8", array_of(EDGE), "i8")
-def write_present_edge(c, axis, out, k):
-    """The chip as it stands, for the course of a journal."""
-    e = out[k]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, read_outputs(c, 0), c.reg[COUNT], c.net
-    e.rate = c.speed / c.hz if c.way else 0.0
-
-
-@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan_edges(c, until, every_pulse, axis, out):
-    """Advance and mark each change of speed and outputs, with `every_pulse` each pulse, until `out` is full."""
-    k = 0
-    while c.clock < until and k < len(out) - 1:
-        word, speed, net = read_outputs(c, 0), c.speed, c.net
-        if c.way:
-            _event(c, until)
-        else:
-            c.clock = until
-        if read_outputs(c, 0) != word or c.speed != speed or (every_pulse and c.net != net):
-            write_present_edge(c, 0, out, k)
-            k += 1
-    return k
-
-
-@exported(None, STATE, "i8", "i8")
-def run_window(c, row_address, first_slice):
-    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
-
-    Args:
-        c: State of the chip.
-        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
-        first_slice: First slice to run, from 0; a slice is an eighth of a window.
-    """
-    run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
+@hot
+def _get_marked_change(c):
+    return 0.0  # every change
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
@@ -265,3 +228,8 @@ def compute_pulse_rate(c, j, hz):
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
     """Ignore the shaft: the chip has no encoder."""
+
+
+run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_event_functions(
+    sys.modules[__name__], _advance_to_event, _count_pulses, _get_direction, _get_marked_change
+)

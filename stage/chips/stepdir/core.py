@@ -7,94 +7,16 @@ Bresenham's rule, as firmware for machine tools does it.
 
 from __future__ import annotations
 
-import numpy as np
+import sys
 
-from stage.chips.core_interface import SCAN_ROOM, run_slices
+from stage.chips.event_loop import EDGE, PULSE, make_event_functions
 from stage.chips.stepdir import step_timer
-from stage.chips.stepdir.state import ENABLE, INPUTS, OUTPUTS, RATE, STATE, STEP
+from stage.chips.stepdir.core_functions import get_marked_change, make_line_functions
+from stage.chips.stepdir.state import ENABLE, INPUTS, OUTPUTS, STATE, STEP
 from stage.chips.stepdir.step_edges import apply_line_levels, compute_mean_count
-from stage.native import array_of, exported, greatest, record
+from stage.native import exported, hot
 
-__all__ = ["INPUTS", "OUTPUTS", "STATE"]
-
-MARKED_CHANGE = 0.01
-"""Share of RATE by which the rate changes between two edges of a course."""
-
-PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs counter net".split()] + [("rate", "f8")])
-
-
-@exported(None, STATE, "i8")
-def run(chip, until):
-    """Let the clock run up to `until`."""
-    while step_timer.advance_to_event(chip, until):
-        pass
-
-
-@exported("i8", STATE, "i8")
-def advance(chip, until):
-    """Let the clock run up to `until`, and return the steps."""
-    before = chip.accepted
-    run(chip, until)
-    return greatest(0, chip.accepted - before)
-
-
-@exported("i8", STATE, "i8", array_of(PULSE))
-def trace_pulses(chip, until, pulses):
-    """Let the clock run up to `until`, write each step into `pulses`, and return their number."""
-    k, before = 0, chip.accepted
-    while step_timer.advance_to_event(chip, until):
-        if chip.accepted > before:
-            pulses[k].clock, pulses[k].axis, pulses[k].direction = chip.clock, 0, chip.last_step
-            k += 1
-        before = chip.accepted
-    return k
-
-
-@exported(None, STATE, "i8", array_of(EDGE), "i8")
-def write_present_edge(chip, axis_index, edges, edge_index):
-    """Write the present state of the axis into EDGE record `edge_index`."""
-    e = edges[edge_index]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = (
-        chip.clock,
-        chip.inputs,
-        read_outputs(chip, 0),
-        read_counter(chip, 0),
-        chip.net,
-    )
-    e.rate = compute_pulse_rate(chip, 0, 1.0)
-
-
-@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan_edges(chip, until, every_pulse, axis_index, edges):
-    """Let the clock run up to `until`, and write an EDGE record at each change of the axis.
-
-    Args:
-        chip: State of the chip.
-        until: Clock at the end.
-        every_pulse: Include the edges of STEP and DIR.
-        axis_index: Axis of the chip, 0.
-        edges: EDGE records to fill.
-
-    Returns:
-        The number of records. If `edges` is nearly full the chip stops early.
-    """
-    k, word, rate = 0, read_outputs(chip, 0), compute_pulse_rate(chip, 0, 1.0)
-    while chip.clock < until and k < len(edges) - SCAN_ROOM:
-        if not step_timer.advance_to_event(chip, until):
-            break
-        now, new = read_outputs(chip, 0), compute_pulse_rate(chip, 0, 1.0)
-        if every_pulse or now != word or abs(new - rate) > MARKED_CHANGE * chip.reg[RATE] / chip.hz:
-            write_present_edge(chip, 0, edges, k)
-            word, rate = now, new
-            k += 1
-    return k
-
-
-@exported(None, STATE, "i8", "i8")
-def run_window(chip, row_address, first_slice):
-    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
-    run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
@@ -144,33 +66,9 @@ def read_inputs(chip, axis_index):
 
 
 @exported("i8", STATE, "i8")
-def read_outputs(chip, axis_index):
-    """Return the output pins."""
-    return step_timer.compute_output_pins(chip)
-
-
-@exported("i8", STATE, "i8")
-def read_status(chip, axis_index):
-    """Return the status word."""
-    return step_timer.compute_status(chip)
-
-
-@exported("i8", STATE, "i8")
-def is_busy(chip, axis_index):
-    """Return whether the step timer runs."""
-    return chip.running
-
-
-@exported("i8", STATE, "i8")
 def read_net_count(chip, axis_index):
     """Return the accepted steps since power-up, plus less minus."""
     return chip.net
-
-
-@exported("i8", STATE, "i8")
-def read_counter(chip, axis_index):
-    """Return the value of the register POSITION."""
-    return step_timer.read_position(chip)
 
 
 @exported("f8", STATE, "i8", "f8")
@@ -185,6 +83,17 @@ def read_motor_current(chip, axis_index):
     return chip.amplitude if chip.inputs & ENABLE else 0.0
 
 
-@exported(None, STATE, "i8", "f8", "f8")
-def set_shaft(chip, axis_index, count, rate):
-    """Do nothing: the axis has no input for an encoder."""
+@hot
+def _count_steps(chip):
+    return chip.accepted
+
+
+@hot
+def _get_direction(chip):
+    return chip.last_step
+
+
+read_outputs, read_status, is_busy, read_counter, set_shaft = make_line_functions(sys.modules[__name__])
+run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_event_functions(
+    sys.modules[__name__], step_timer.advance_to_event, _count_steps, _get_direction, get_marked_change
+)

@@ -6,45 +6,36 @@ FFh the registers of the chip, for hosts that do not simulate the UART.
 
 from __future__ import annotations
 
+import sys
+
 from pulsestage_trinamic import field, load_measurement
 from pulsestage_trinamic.tmc2209 import maps, power_stage, registers, state, uart
 from pulsestage_trinamic.tmc2209.state import INPUTS, OUTPUTS, STATE
-from stage.chips.core_interface import SCAN_ROOM, run_slices
+from stage.chips.event_loop import EDGE, PULSE
 from stage.chips.stepdir import step_timer
-from stage.chips.stepdir.core import EDGE, MARKED_CHANGE, PULSE
-from stage.chips.stepdir.state import RATE, STEP
+from stage.chips.stepdir.core_functions import make_line_functions, make_power_stage_functions
+from stage.chips.stepdir.state import STEP
 from stage.chips.stepdir.step_edges import apply_line_levels, count_step
-from stage.native import array_of, exported, greatest, hot, least
+from stage.native import exported, greatest, hot, least
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 
 @hot
-def _find_next_event(c):
-    """Return the clock of the next event of the step timer, the chip or its UART, or NEVER."""
-    at = least(step_timer.find_next_event(c), uart.find_next_event(c))
-    return least(at, least(c.next_step, power_stage.find_next_timer_clock(c)))
+def _find_next_chip_event(c):
+    """Return the clock of the next event of the chip or its UART, or NEVER."""
+    return least(uart.find_next_event(c), least(c.next_step, power_stage.find_next_timer_clock(c)))
 
 
 @hot
-def _advance_to_event(c, until):
-    """Let time pass to the next event or to `until`, and return whether an event happened."""
-    at = greatest(_find_next_event(c), c.clock)
-    if at > until:
-        c.clock = until
-        return False
-    c.clock = at
-    if step_timer.find_next_event(c) <= at:
-        before = c.inputs
-        step_timer.process_event(c)
-        _follow_lines(c, before)
-    elif uart.find_next_event(c) <= at:
+def _process_chip_event(c):
+    """Process the event of the chip or its UART that is due."""
+    if uart.find_next_event(c) <= c.clock:
         uart.process_event(c)
-    elif c.next_step <= at:
+    elif c.next_step <= c.clock:
         power_stage.make_internal_step(c)
     else:
         power_stage.process_timers(c)
-    return True
 
 
 @hot
@@ -53,70 +44,6 @@ def _follow_lines(c, before):
     if before & ~c.inputs & STEP and c.registers[state.CHOPCONF] & state.DEDGE:
         count_step(c, True)
     power_stage.follow_steps(c)
-
-
-@exported(None, STATE, "i8")
-def run(c, until):
-    """Let the clock run up to `until`."""
-    while _advance_to_event(c, until):
-        pass
-
-
-@exported("i8", STATE, "i8")
-def advance(c, until):
-    """Let the clock run up to `until`, and return the steps of the field."""
-    before = c.moves
-    run(c, until)
-    return c.moves - before
-
-
-@exported("i8", STATE, "i8", array_of(PULSE))
-def trace_pulses(c, until, pulses):
-    """Let the clock run up to `until`, write each step of the field into `pulses`, and return their number."""
-    k, before = 0, c.moves
-    while _advance_to_event(c, until):
-        if c.moves > before:
-            pulses[k].clock, pulses[k].axis, pulses[k].direction = c.clock, 0, c.direction
-            k += 1
-        before = c.moves
-    return k
-
-
-@exported(None, STATE, "i8", array_of(EDGE), "i8")
-def write_present_edge(c, axis_index, edges, edge_index):
-    """Write the axis as it is now into edge `edge_index`."""
-    e = edges[edge_index]
-    e.clock, e.inputs, e.outputs = c.clock, read_inputs(c, 0), read_outputs(c, 0)
-    e.counter, e.net = read_counter(c, 0), read_net_count(c, 0)
-    e.rate = compute_pulse_rate(c, 0, 1.0)
-
-
-@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan_edges(c, until, every_pulse, axis_index, edges):
-    """Let the clock run up to `until` and mark changes of pins and rate, and each edge of the lines if `every_pulse`."""
-    k, word, pins, rate = 0, read_outputs(c, 0), read_inputs(c, 0), compute_pulse_rate(c, 0, 1.0)
-    while c.clock < until and k < len(edges) - SCAN_ROOM:
-        if not _advance_to_event(c, until):
-            break
-        now, new = read_outputs(c, 0), compute_pulse_rate(c, 0, 1.0)
-        answers = (pins ^ read_inputs(c, 0)) & state.DIAG
-        if every_pulse or now != word or answers or abs(new - rate) > MARKED_CHANGE * c.reg[RATE] / c.hz:
-            write_present_edge(c, 0, edges, k)
-            word, pins, rate = now, read_inputs(c, 0), new
-            k += 1
-    return k
-
-
-@exported(None, STATE, "i8", "i8")
-def run_window(c, row_address, first_slice):
-    """Let the chip's clock run through a window, the time of one physics step, from slice `first_slice` on.
-
-    Args:
-        c: State of the chip.
-        row_address: Address of the chip's row in the table of chips, see stage/chips/core_interface.py.
-        first_slice: First slice to run, from 0; a slice is an eighth of a window.
-    """
-    run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
@@ -203,33 +130,9 @@ def read_inputs(c, axis_index):
 
 
 @exported("i8", STATE, "i8")
-def read_outputs(c, axis_index):
-    """Return the output pins of the step timer."""
-    return step_timer.compute_output_pins(c)
-
-
-@exported("i8", STATE, "i8")
-def read_status(c, axis_index):
-    """Return the status word."""
-    return step_timer.compute_status(c)
-
-
-@exported("i8", STATE, "i8")
-def is_busy(c, axis_index):
-    """Return whether the step timer runs."""
-    return c.running
-
-
-@exported("i8", STATE, "i8")
 def read_net_count(c, axis_index):
     """Return the place of the interpolated field since power-up, in microsteps of the axis' Drive."""
     return field.compute_net_count(c)
-
-
-@exported("i8", STATE, "i8")
-def read_counter(c, axis_index):
-    """Return POSITION."""
-    return step_timer.read_position(c)
 
 
 @exported("f8", STATE, "i8", "f8")
@@ -274,6 +177,18 @@ def set_fixed_load(c, lam, emf):
     c.lam, c.emf = lam, emf
 
 
-@exported(None, STATE, "i8", "f8", "f8")
-def set_shaft(c, axis_index, count, rate):
-    """Do nothing: the axis has no input for an encoder."""
+@hot
+def _get_direction(c):
+    return c.direction
+
+
+read_outputs, read_status, is_busy, read_counter, set_shaft = make_line_functions(sys.modules[__name__])
+run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_power_stage_functions(
+    sys.modules[__name__],
+    _find_next_chip_event,
+    _process_chip_event,
+    _follow_lines,
+    field.count_moves,
+    _get_direction,
+    state.DIAG,
+)

@@ -5,7 +5,7 @@ Times are in clocks of the axis, whose frequency is `c.hz`; the chip's own clock
 
 from __future__ import annotations
 
-from pulsestage_trinamic import cool_step, field
+from pulsestage_trinamic import common_power_stage, cool_step, field
 from pulsestage_trinamic.tmc2209 import state
 from stage.chips.stepdir.state import ENABLE
 from stage.native import greatest, hot, least
@@ -56,16 +56,6 @@ def is_power_stage_on(c):
 
 
 @hot
-def read_irun(c):
-    return c.registers[state.IHOLD_IRUN] >> 8 & 31
-
-
-@hot
-def read_ihold(c):
-    return c.registers[state.IHOLD_IRUN] & 31
-
-
-@hot
 def is_current_reduced_at_rest(c):
     """Return whether the current falls to IHOLD at standstill: always with pdn_disable, else while PDN_UART is low."""
     return c.registers[state.GCONF] & state.PDN_DISABLE or not c.inputs & state.PDN
@@ -76,7 +66,12 @@ def compute_current_amplitude(c):
     """Return the amplitude of the phase currents, A."""
     if not is_power_stage_on(c):
         return 0.0
-    if c.current == state.HOLDS and c.cs == 0 and c.registers[state.PWMCONF] >> 20 & 3 and is_stealth_chop_active(c):
+    if (
+        c.current == common_power_stage.HOLDS
+        and c.cs == 0
+        and c.registers[state.PWMCONF] >> 20 & 3
+        and is_stealth_chop_active(c)
+    ):
         return 0.0
     volts = SENSITIVE_FULL_SCALE_V if c.registers[state.CHOPCONF] & state.VSENSE else FULL_SCALE_V
     if c.registers[state.GCONF] & state.I_SCALE_ANALOG:
@@ -91,16 +86,21 @@ def compute_standstill_clock(c):
 
 
 @hot
+def _compute_reduction_clock(c, standstill):
+    """Return the clock at which the current leaves IRUN, TPOWERDOWN after the standstill, or NEVER."""
+    if not is_current_reduced_at_rest(c):
+        return state.NEVER
+    return standstill + to_axis_clocks(c, c.registers[state.TPOWERDOWN] * DELAY_CLOCKS)
+
+
+@hot
 def find_next_timer_clock(c):
     """Return the clock at which the next timer of standstill ends, or NEVER."""
     at = state.NEVER
     standstill = compute_standstill_clock(c)
     if c.period or c.stall or c.sg:
         at = standstill
-    if c.current == state.RUNS and is_current_reduced_at_rest(c):
-        at = least(at, standstill + to_axis_clocks(c, c.registers[state.TPOWERDOWN] * DELAY_CLOCKS))
-    elif c.current == state.FALLS:
-        at = least(at, c.falls)
+    at = least(at, common_power_stage.find_next_reduction(c, _compute_reduction_clock(c, standstill)))
     return at if at > c.clock else c.clock
 
 
@@ -111,29 +111,17 @@ def process_timers(c):
     if c.clock >= standstill and (c.period or c.stall or c.sg):
         c.period = c.stall = c.sg = 0
         update_thresholds(c)
-    delay = to_axis_clocks(c, (c.registers[state.IHOLD_IRUN] >> 16 & 15) * DELAY_CLOCKS)
-    down = standstill + to_axis_clocks(c, c.registers[state.TPOWERDOWN] * DELAY_CLOCKS)
-    if c.current == state.RUNS and is_current_reduced_at_rest(c) and c.clock >= down:
-        c.current, c.falls = state.FALLS, c.clock + delay
-    if c.current == state.FALLS and c.clock >= c.falls:
-        if delay == 0:
-            c.cs = read_ihold(c)
-        elif c.cs != read_ihold(c):
-            c.cs += 1 if read_ihold(c) > c.cs else -1
-        c.falls += delay
-        if c.cs == read_ihold(c):
-            c.current, c.falls = state.HOLDS, state.NEVER
+    currents = c.registers[state.IHOLD_IRUN]
+    delay = to_axis_clocks(c, common_power_stage.get_iholddelay(currents) * DELAY_CLOCKS)
+    common_power_stage.reduce_current(c, currents, _compute_reduction_clock(c, standstill), delay)
 
 
 @hot
 def apply_current_registers(c):
     """Apply a write of IHOLD_IRUN, and a change of what reduces the current at rest."""
-    if c.current != state.RUNS and not is_current_reduced_at_rest(c):
-        c.current, c.falls = state.RUNS, state.NEVER
-    if c.current == state.RUNS:
-        c.cs = read_irun(c)
-    elif c.current == state.HOLDS:
-        c.cs = read_ihold(c)
+    if not is_current_reduced_at_rest(c):
+        common_power_stage.raise_current(c, c.registers[state.IHOLD_IRUN])
+    common_power_stage.apply_current_register(c, c.registers[state.IHOLD_IRUN])
 
 
 # --- speed ---
@@ -150,14 +138,9 @@ def compute_tstep(c):
 
 @hot
 def _get_bit_if_passed(c, bit, threshold, excludes_equal, tstep):
-    """Return the bit of a threshold if TSTEP has passed it, with the hysteresis of the data sheet, and else 0."""
-    if threshold == 0:
-        return 0
-    if tstep <= threshold * 15 // 16 - 1:
-        return bit
-    if tstep > threshold or (excludes_equal and tstep == threshold):
-        return 0
-    return c.passed & bit
+    """Return the bit of a threshold if TSTEP has passed it, and else 0."""
+    upper = threshold * 15 // 16 - 1
+    return common_power_stage.get_bit_if_passed(c.passed, bit, threshold, upper, excludes_equal, tstep)
 
 
 @hot
@@ -172,8 +155,8 @@ def update_thresholds(c):
     cooling = 1 if is_cool_step_active(c) else 0
     if c.cooling and not cooling:
         c.count = 0
-        if c.current == state.RUNS:
-            c.cs = read_irun(c)
+        if c.current == common_power_stage.RUNS:
+            c.cs = common_power_stage.get_irun(c.registers[state.IHOLD_IRUN])
     c.cooling = cooling
 
 
@@ -220,7 +203,9 @@ def measure_load(c):
     c.sg = compute_result(c)
     c.stall = 1 if c.sg <= 2 * c.registers[state.SGTHRS] and is_stall_output_enabled(c) else 0
     if c.cooling:
-        cool_step.adapt_current(c, c.registers[state.COOLCONF], read_irun(c))
+        cool_step.adapt_current(
+            c, c.registers[state.COOLCONF], common_power_stage.get_irun(c.registers[state.IHOLD_IRUN])
+        )
 
 
 # --- the field ---
@@ -237,9 +222,7 @@ def move_field(c, places):
     field.move(c, places, c.period if c.registers[state.CHOPCONF] & state.INTPOL else 0)
     c.mscnt = c.mscnt + places & 1023
     c.stepped, c.direction = c.clock, 1 if places > 0 else -1
-    if c.current != state.RUNS:
-        c.current, c.falls = state.RUNS, state.NEVER
-        c.cs = read_irun(c)
+    common_power_stage.raise_current(c, c.registers[state.IHOLD_IRUN])
     update_thresholds(c)
     if c.mscnt >> 8 != before:
         measure_load(c)
@@ -297,18 +280,8 @@ def make_internal_step(c):
 def latch_faults(c):
     """Latch the faults that are present, and switch the power stage off."""
     chop = c.registers[state.CHOPCONF]
-    if chop & 15 == 0 or not c.inputs & ENABLE:
-        c.shorts = 0
-    else:
-        c.shorts |= c.inputs & (
-            (0 if chop & state.DISS2G else state.S2GA | state.S2GB)
-            | (0 if chop & state.DISS2VS else state.S2VSA | state.S2VSB)
-        )
-    if c.inputs & state.OT:
-        c.hot = 1
-    elif not c.inputs & state.OTPW:
-        c.hot = 0
-    if c.shorts or c.hot:
-        c.gstat |= 2
+    common_power_stage.latch_faults(
+        c, chop & 15 and c.inputs & ENABLE, chop, state.SHORT_G, state.SHORT_VS, state.OT, state.OTPW
+    )
     if not is_measuring(c):
         c.sg = c.stall = 0

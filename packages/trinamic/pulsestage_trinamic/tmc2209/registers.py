@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc2209 import maps, power_stage, state
 from pulsestage_trinamic.tmc5160.sequencer import get_table_current
 from stage.chips.stepdir.state import DIR, ENABLE, STEP
@@ -19,7 +20,8 @@ def clear(c):
     c.followed = c.net
     c.mscnt = c.period = c.full = c.toggle = c.velocity_steps = 0
     c.direction, c.stepped, c.velocity_since, c.next_step = 1, c.clock, c.clock, state.NEVER
-    c.current, c.cs, c.falls = state.RUNS, power_stage.read_irun(c), state.NEVER
+    c.current, c.falls = common_power_stage.RUNS, state.NEVER
+    common_power_stage.apply_current_register(c, c.registers[state.IHOLD_IRUN])
     c.passed = c.sg = c.stall = c.count = c.cooling = 0
     c.lam, c.emf, c.load_of, c.load_n, c.load_sum, c.emf_sum = 0, 1024, -1, 0, 0, 0
     c.gstat, c.shorts, c.hot, c.ifcnt = 1, 0, 0, 0

@@ -11,7 +11,6 @@ NEVER = lines.NEVER
 QUEUE = 64
 """Bytes on their way to the chip, and bytes that it has sent and nobody has read."""
 DATAGRAM = 8
-RUNS, FALLS, HOLDS = range(3)  # the current: at IRUN, on its way down, at IHOLD
 MAX_TSTEP = 0xFFFFF
 
 STATE = record(
@@ -35,7 +34,7 @@ STATE = record(
         ("velocity_steps", "i8"),  # internal steps since then
         ("toggle", "i8"),  # level of INDEX with index_step
         # current and load
-        ("current", "i8"),  # RUNS, FALLS or HOLDS
+        ("current", "i8"),  # of common_power_stage: RUNS, FALLS or HOLDS
         ("cs", "i8"),  # CS_ACTUAL
         ("falls", "i8"),  # clock of the next step down, or NEVER
         ("passed", "i8"),  # speed thresholds that are passed
@@ -85,6 +84,7 @@ MS1, MS2, PDN, SPREAD, OTPW, OT, S2GA, S2GB, S2VSA, S2VSB, OLA, OLB, UV_CP, DIAG
     INPUTS[name] for name in _further
 )
 ANSWERED = DIAG | INDEX
+SHORT_G, SHORT_VS = S2GA | S2GB, S2VSA | S2VSB
 OUTPUTS = lines.OUTPUTS
 
 GCONF, GSTAT, IFCNT, SLAVECONF, IOIN, IHOLD_IRUN, TPOWERDOWN, TSTEP, TPWMTHRS, TCOOLTHRS, VACTUAL = (
@@ -102,5 +102,5 @@ SGTHRS, SG_RESULT, COOLCONF, MSCNT, MSCURACT, CHOPCONF, DRV_STATUS, PWMCONF, PWM
 I_SCALE_ANALOG, EN_SPREADCYCLE, SHAFT, INDEX_OTPW, INDEX_STEP, PDN_DISABLE, MSTEP_REG_SELECT = MAP.masks(
     "GCONF", "i_scale_analog", "en_spreadcycle", "shaft", "index_otpw", "index_step", "pdn_disable", "mstep_reg_select"
 )
-VSENSE, INTPOL, DEDGE, DISS2G, DISS2VS = MAP.masks("CHOPCONF", "vsense", "intpol", "dedge", "diss2g", "diss2vs")
+VSENSE, INTPOL, DEDGE = MAP.masks("CHOPCONF", "vsense", "intpol", "dedge")
 FAST, COOL = 1, 2  # thresholds that are passed: TPWMTHRS, TCOOLTHRS

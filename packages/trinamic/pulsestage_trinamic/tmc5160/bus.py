@@ -11,6 +11,7 @@ A read of 83h returns SPI_STATUS, and a read of 84h returns 1 while a drive is i
 
 from __future__ import annotations
 
+from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc5160 import encoder, maps, power_stage, ramp, sequencer, speed_thresholds, stallguard, state
 from stage.native import hot
 
@@ -186,7 +187,7 @@ def write_register(c, address, value):
         if address == state.RAMPMODE:
             c.brk = 0
         elif address == state.IHOLD_IRUN:
-            power_stage.apply_current_registers(c)
+            common_power_stage.apply_current_register(c, c.reg[state.IHOLD_IRUN])
     if address == state.CHOPCONF and value & 15 == 0:
         c.shorts = 0
     stallguard.update_stallguard_and_coolstep(c)

@@ -18,8 +18,9 @@ from pulsestage_trinamic.tmc5160 import (
     state,
     switches,
 )
-from pulsestage_trinamic.tmc5160.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
+from pulsestage_trinamic.tmc5160.state import INPUTS, OUTPUTS, STATE
 from stage.chips.core_interface import run_slices, scan_while_shafts_move
+from stage.chips.event_loop import EDGE, PULSE
 from stage.native import array_of, exported, hot, least
 
 SPARE_EDGES = 8  # entries of `out` that are still free when `scan` returns early

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc5160 import state
 from stage.native import hot, least
 
@@ -17,21 +18,16 @@ def is_power_stage_on(c):
 
 
 @hot
-def read_irun(c):
-    return c.reg[state.IHOLD_IRUN] >> 8 & 31
-
-
-@hot
-def read_ihold(c):
-    return c.reg[state.IHOLD_IRUN] & 31
-
-
-@hot
 def compute_current_amplitude(c):
     """Return the amplitude of the phase currents, A."""
     if not is_power_stage_on(c):
         return 0.0
-    if c.current == state.HOLDS and c.cs == 0 and c.reg[state.GCONF] & state.EN_PWM and c.reg[state.PWMCONF] >> 20 & 3:
+    if (
+        c.current == common_power_stage.HOLDS
+        and c.cs == 0
+        and c.reg[state.GCONF] & state.EN_PWM
+        and c.reg[state.PWMCONF] >> 20 & 3
+    ):
         return 0.0
     scale = c.reg[state.GLOBALSCALER]
     return (256 if scale == 0 else scale) / 256.0 * (c.cs + 1) / 32.0 * FULL_SCALE_V / c.rsense
@@ -58,10 +54,7 @@ def find_next_timer_clock(c):
     at = state.NEVER
     if c.sg or c.stall or c.summed:
         at = stops
-    if c.current == state.RUNS:
-        at = least(at, stops + (c.reg[state.TPOWERDOWN] << DELAY_SHIFT))
-    elif c.current == state.FALLS:
-        at = least(at, c.falls)
+    at = least(at, common_power_stage.find_next_reduction(c, stops + (c.reg[state.TPOWERDOWN] << DELAY_SHIFT)))
     return at if at > c.clock else c.clock + 1
 
 
@@ -71,26 +64,9 @@ def process_standstill_timers(c):
     stops = c.last + _get_standstill_clocks(c)
     if c.clock >= stops and (c.sg or c.stall or c.summed):
         c.sg = c.stall = c.total = c.summed = 0
-    delay = (c.reg[state.IHOLD_IRUN] >> 16 & 15) << DELAY_SHIFT
-    if c.current == state.RUNS and c.clock >= stops + (c.reg[state.TPOWERDOWN] << DELAY_SHIFT):
-        c.current, c.falls = state.FALLS, c.clock + delay
-    if c.current == state.FALLS and c.clock >= c.falls:
-        if delay == 0:
-            c.cs = read_ihold(c)
-        elif c.cs != read_ihold(c):
-            c.cs += 1 if read_ihold(c) > c.cs else -1
-        c.falls += delay
-        if c.cs == read_ihold(c):
-            c.current, c.falls = state.HOLDS, state.NEVER
-
-
-@hot
-def apply_current_registers(c):
-    """Apply a write of IHOLD_IRUN."""
-    if c.current == state.RUNS:
-        c.cs = read_irun(c)
-    elif c.current == state.HOLDS:
-        c.cs = read_ihold(c)
+    currents = c.reg[state.IHOLD_IRUN]
+    begin = stops + (c.reg[state.TPOWERDOWN] << DELAY_SHIFT)
+    common_power_stage.reduce_current(c, currents, begin, common_power_stage.get_iholddelay(currents) << DELAY_SHIFT)
 
 
 # --- faults ---
@@ -100,19 +76,9 @@ def apply_current_registers(c):
 def latch_faults(c):
     """Latch the faults that are present, and switch the power stage off."""
     chop = c.reg[state.CHOPCONF]
-    if chop & 15 == 0 or c.inputs & state.DRV_ENN:
-        c.shorts = 0
-    else:
-        c.shorts |= c.inputs & (
-            (0 if chop & state.DISS2G else state.SHORT_G) | (0 if chop & state.DISS2VS else state.SHORT_VS)
-        )
-    if c.inputs & state.OT:
-        c.hot = 1
-    elif not c.inputs & state.OTPW:
-        c.hot = 0
-    if c.shorts or c.hot:
-        c.gstat |= 2
+    is_driving = chop & 15 and not c.inputs & state.DRV_ENN
+    common_power_stage.latch_faults(c, is_driving, chop, state.SHORT_G, state.SHORT_VS, state.OT, state.OTPW)
     if c.inputs & state.UV_CP:
-        c.gstat |= 4
+        c.gstat |= common_power_stage.UV_CP
     if is_power_stage_on(c):
         c.powered = 1

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import power_stage
+from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc5160.state import (
     GCONF,
-    NEVER,
-    RUNS,
+    IHOLD_IRUN,
     SHAFT,
     get_step_shift,
 )
@@ -52,9 +51,7 @@ def make_steps(c, steps, clock):
     c.toggle ^= steps & 1
     c.way = c.dir
     c.last = clock
-    if c.current != RUNS:
-        c.current, c.falls = RUNS, NEVER
-        c.cs = power_stage.read_irun(c)
+    common_power_stage.raise_current(c, c.reg[IHOLD_IRUN])
 
 
 @hot

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc5160 import state
 from stage.native import hot, least
 
@@ -37,16 +38,10 @@ def compute_tstep(c, q):
 
 
 @hot
-def _get_bit_if_passed(c, passed_before, bit, threshold, excludes_equal, tstep):
-    """Return the bit of a threshold if TSTEP has passed it, with hysteresis, and else 0."""
-    if threshold == 0:
-        return 0
-    low = threshold * 31 // 32 - 1 if c.reg[state.GCONF] & state.SMALL_HYSTERESIS else threshold * 15 // 16 - 1
-    if tstep <= low:
-        return bit
-    if tstep > threshold or (excludes_equal and tstep == threshold):
-        return 0
-    return passed_before & bit
+def _get_bit_if_passed(c, bit, threshold, excludes_equal, tstep):
+    """Return the bit of a threshold if TSTEP has passed it, and else 0."""
+    upper = threshold * 31 // 32 - 1 if c.reg[state.GCONF] & state.SMALL_HYSTERESIS else threshold * 15 // 16 - 1
+    return common_power_stage.get_bit_if_passed(c.speeds, bit, threshold, upper, excludes_equal, tstep)
 
 
 @hot
@@ -55,9 +50,9 @@ def find_passed_thresholds(c, q):
     slow, cool, high = c.reg[state.TPWMTHRS], c.reg[state.TCOOLTHRS], c.reg[state.THIGH]
     if not (slow | cool | high):
         return 0
-    t, was = compute_tstep(c, q), c.speeds
+    t = compute_tstep(c, q)
     return (
-        _get_bit_if_passed(c, was, state.SLOW, slow, True, t)
-        | _get_bit_if_passed(c, was, state.COOL, cool, False, t)
-        | _get_bit_if_passed(c, was, state.HIGH, high, False, t)
+        _get_bit_if_passed(c, state.SLOW, slow, True, t)
+        | _get_bit_if_passed(c, state.COOL, cool, False, t)
+        | _get_bit_if_passed(c, state.HIGH, high, False, t)
     )

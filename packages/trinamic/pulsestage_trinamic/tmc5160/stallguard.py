@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic import cool_step, load_measurement
+from pulsestage_trinamic import common_power_stage, cool_step, load_measurement
 from pulsestage_trinamic.tmc5160 import power_stage, sequencer, speed_thresholds, state
 from stage.native import hot, least
 
@@ -40,8 +40,8 @@ def update_stallguard_and_coolstep(c):
     cooling = 1 if is_cool_step_active(c) else 0
     if c.cooling and not cooling:
         c.count = 0
-        if c.current == state.RUNS:
-            c.cs = power_stage.read_irun(c)
+        if c.current == common_power_stage.RUNS:
+            c.cs = common_power_stage.get_irun(c.reg[state.IHOLD_IRUN])
     c.cooling = cooling
 
 
@@ -72,7 +72,7 @@ def _measure_load(c):
     c.sg = value
     c.stall = 1 if value == 0 else 0
     if c.cooling:
-        cool_step.adapt_current(c, c.reg[state.COOLCONF], power_stage.read_irun(c))
+        cool_step.adapt_current(c, c.reg[state.COOLCONF], common_power_stage.get_irun(c.reg[state.IHOLD_IRUN]))
     if c.stall and c.reg[state.SW_MODE] & state.SG_STOP and speed_thresholds.is_stall_stop_possible(c):
         c.events |= state.EVENT_SG
         return True

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc5160.maps import MAP, NUMBER, REGISTERS
 from stage.native import hot, record
 
-NEVER = 1 << 62
+NEVER = common_power_stage.NEVER
 POSITION, PLUS, MINUS, HOLD = range(4)  # RAMPMODE
-RUNS, FALLS, HOLDS = range(3)  # the current: at IRUN, on its way down, at IHOLD
 MAX_TSTEP = 0xFFFFF
 PHASE_PER_STEP = 1 << 41  # of the phase
 SPEED_SHIFT = 17  # q is in 2^-17 of the velocity unit
@@ -53,7 +51,7 @@ STATE = record(
         ("toggle", "i8"),  # DIAG0 in step mode
         ("way", "i8"),  # the last direction
         ("last", "i8"),  # clock of the last step
-        ("current", "i8"),  # RUNS, FALLS, HOLDS
+        ("current", "i8"),  # of common_power_stage: RUNS, FALLS, HOLDS
         ("falls", "i8"),  # clock at which the current falls by one
         ("cs", "i8"),  # CS_ACTUAL
         ("speeds", "i8"),  # thresholds passed: SLOW, COOL, HIGH
@@ -123,22 +121,9 @@ FAST_STANDSTILL, EN_PWM, SHAFT, DIAG0_STEP, DIAG1_DIR, SMALL_HYSTERESIS, STOP_EN
     ZEROWAIT, SECOND_MOVE, STATUS_SG,
 ) = (f.mask for f in MAP.register("RAMP_STAT").fields)  # fmt: skip
 CLEARED = SECOND_MOVE | EVENT_POS | EVENT_SG | LATCHED_R | LATCHED_L
-VHIGHFS, DISS2G, DISS2VS = MAP.masks("CHOPCONF", "vhighfs", "diss2g", "diss2vs")
+VHIGHFS = MAP.mask("CHOPCONF", "vhighfs")
 SFILT = MAP.mask("COOLCONF", "sfilt")
 SLOW, COOL, HIGH = 1, 2, 4  # above TPWMTHRS, TCOOLTHRS, THIGH
-
-PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record(
-    [
-        ("clock", "i8"),  # from here on
-        ("inputs", "i8"),  # INPUTS
-        ("outputs", "i8"),  # OUTPUTS
-        ("counter", "i8"),  # XACTUAL
-        ("net", "i8"),  # field, 1/256 full steps
-        ("rate", "f8"),  # of it, a clock
-    ]
-)
-"""A chip from one of its changes on, for recordings."""
 
 
 @hot
