@@ -6,8 +6,10 @@
     print(firmware.home(stage.axes["x"]))
     print(firmware.move(stage.axes["x"], 10e-3))
 
-move, home, square_gantry, line, jog and stop work with every chip. preset_move, origin_return and others are procedures of the
-PCL-240's data sheet; `stage.firmware.nova` and `stage.firmware.hctl1100` have the procedures that only these families offer.
+move, home, square_gantry, line, jog and stop work with every chip. begin_move, begin_home, begin_jog and begin_stop return at
+once, and the action goes on while time passes; `read_axis_state` shows an axis to any thread. preset_move, origin_return and
+others are procedures of the PCL-240's data sheet; `stage.firmware.nova` and `stage.firmware.hctl1100` have the procedures that
+only these families offer.
 
 A `Bench` runs the same procedures on chips without a stage.
 """
@@ -16,6 +18,8 @@ from collections.abc import Callable
 
 from stage.errors import unknown_name_error
 from stage.firmware.axis import Axis
+from stage.firmware.axis_actions import AxisAction, find_action
+from stage.firmware.axis_state import AxisState, read_axis_state
 from stage.firmware.chip_bench import Bench
 from stage.firmware.gantry_homing import square_gantry
 from stage.firmware.move_report import Report
@@ -26,7 +30,7 @@ from stage.firmware.pcl240.origin_return import origin_return
 from stage.firmware.pcl240.rate_change_moves import curved_ramp_move, dual_rate_move, speed_change_move
 from stage.firmware.pcl240.speed_profile import Profile
 from stage.firmware.pcl240.synchronized_move import synchronized_move
-from stage.firmware.procedures import home, jog, line, move, stop
+from stage.firmware.procedures import begin_home, begin_jog, begin_move, begin_stop, home, jog, line, move, stop
 from stage.firmware.synchronized_report import SynchronizedReport
 
 PROCEDURES: dict[str, Callable] = {
@@ -55,7 +59,8 @@ def find_procedure(name: str) -> Callable:
 
 
 __all__ = [
-    "Axis", "Bench", "PROCEDURES", "Plan", "ChipPort", "Profile", "Report", "SynchronizedReport", "continuous_move",
-    "curved_ramp_move", "dual_rate_move", "external_count", "home", "interrupted_move", "jog", "line", "move", "origin_return",
-    "plan", "preset_move", "find_procedure", "speed_change_move", "square_gantry", "stop", "synchronized_move",
+    "Axis", "AxisAction", "AxisState", "Bench", "PROCEDURES", "Plan", "ChipPort", "Profile", "Report", "SynchronizedReport",
+    "begin_home", "begin_jog", "begin_move", "begin_stop", "continuous_move", "curved_ramp_move", "dual_rate_move",
+    "external_count", "find_action", "home", "interrupted_move", "jog", "line", "move", "origin_return", "plan", "preset_move",
+    "find_procedure", "read_axis_state", "speed_change_move", "square_gantry", "stop", "synchronized_move",
 ]  # fmt: skip

@@ -23,6 +23,7 @@ from stage.chips import Chip
 from stage.chips.chip import Bus, Pins, check_clock_limit, split_run
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.axis import check_seconds
+from stage.sim.procedure_threads import MIN_WAIT_NS, ProcedureSchedule
 from stage.support.argument_checks import explain_arguments, explain_constructor
 
 DEFAULT_AXIS_NAMES = "xyzuvw"
@@ -53,6 +54,11 @@ class BenchAxis:
     def time(self) -> float:
         """Seconds since the bench was made."""
         return self._bench.time
+
+    @property
+    def procedures(self) -> ProcedureSchedule:
+        """Procedures under way on the bench."""
+        return self._bench.procedures
 
     @explain_arguments
     def wait(self, seconds: float) -> None:
@@ -148,6 +154,7 @@ class Bench(Bus):
             if chip.attached or sum(chip is other for other in all_.values()) > 1:
                 raise ArgumentError(f"chip {name} already has a bus: a chip sits on one stage or bench, once.")
         self._now, self._bus_ns = 0, round(bus_cycle * 1e9)
+        self.procedures = ProcedureSchedule(self)
         self._events: list[tuple[int, int, Callable[[], Any]]] = []
         self._order = count()
         self._start = {name: chip.clock for name, chip in all_.items()}
@@ -173,7 +180,13 @@ class Bench(Bus):
     def wait(self, seconds: float) -> None:
         """Let `seconds` pass. Raises ArgumentError for a negative time."""
         check_seconds(seconds)
-        self._advance(self._now + round(seconds * 1e9))
+        until, procedures = self._now + round(seconds * 1e9), self.procedures
+        if procedures.running is not None:
+            procedures.running.wait_until(self._now, until)
+        takes_turns = procedures.running is None and until - self._now >= MIN_WAIT_NS
+        while procedures.waiting and (takes_turns or procedures.are_late(self._now)) and self._now < until:
+            self._advance(procedures.plan_run(self._now, until))
+        self._advance(until)
 
     @explain_arguments
     def at(self, seconds: float, action: Callable[[], Any]) -> None:

@@ -11,6 +11,7 @@ home, jog, stop, line), the command line and the environments use chips only thr
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
@@ -346,6 +347,91 @@ class Driver(ABC):
     def is_running(self) -> bool:
         """Return whether the move that `start_continuous_move` has started still runs."""
         return self.chip.busy(self.axis.chip_axis)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the chip changes the commanded position now. No bus cycle is made, and it means the same for every family.
+
+        A servo moves while its command position does, also in a velocity mode, which is no drive for `Chip.busy`.
+        """
+        core, chip = self.chip.CORE, self.chip
+        return bool(core.is_busy.with_gil(chip.pointer, self.axis.chip_axis)) or self.commanded_rate != 0
+
+    @property
+    def commanded_rate(self) -> float:
+        """Present signed rate of the commanded position, pulses (counts) per second. No bus cycle is made."""
+        chip = self.chip
+        return float(chip.CORE.compute_pulse_rate.with_gil(chip.pointer, self.axis.chip_axis, float(chip.clock_hz)))
+
+    @property
+    def max_rate(self) -> float:
+        """Highest rate that the registers of the chip allow, pulses (counts) per second; infinite if no limit is known."""
+        return math.inf
+
+    @property
+    def position_counter(self) -> str:
+        """Register in which the controller itself counts the position; "" if the chip has none."""
+        return self.chip.COUNTER[0]
+
+    def read_position_counter(self) -> int:
+        """Read the controller's own position counter by bus cycles.
+
+        Raises:
+            ArgumentError: The chip has no such counter.
+        """
+        self._check_position_counter()
+        return self._sign_counter(self.read_register(self.position_counter))
+
+    def write_position_counter(self, value: int) -> None:
+        """Set the controller's own position counter by bus cycles. Nothing moves.
+
+        Args:
+            value: Signed number of pulses; counts of a servo.
+
+        Raises:
+            ArgumentError: The chip has no such counter, it cannot be set, or the value does not fit.
+            StageError: The axis moves.
+        """
+        self._check_position_counter()
+        if self.is_moving:
+            raise self.build_moving_error()
+        half, chip = 1 << (self.chip.COUNTER[1] - 1), add_article(self.chip.MAP.chip)
+        if int(value) != value or not -half <= value < half:
+            raise ArgumentError(f"counter {value!r}: {chip} holds whole numbers from {-half:,} to {half - 1:,}.")
+        if not self.can_set_position_counter:
+            raise ArgumentError(
+                f"{self.position_counter} of {chip} on axis {self.axis.name} cannot be set: a host adds an offset of its own."
+            )
+        self._write_counter_register(int(value))
+
+    @property
+    def can_set_position_counter(self) -> bool:
+        """Whether the chip has a position counter that `write_position_counter` can set."""
+        return any(r.name == self.position_counter and "W" in r.access for r in self.chip.MAP.registers)
+
+    def _write_counter_register(self, value: int) -> None:
+        """Write the position counter; the value fits the register, and the axis is at rest."""
+        register = self.chip.MAP.register(self.position_counter)
+        word = value if register.signed else value & register.mask
+        ImmediateOperations(self.axis).register(self.index, self.chip, register.name, word, self.axis.chip_axis)
+
+    def peek_position_counter(self) -> int | None:
+        """Return the controller's own position counter without a bus cycle; None if the chip has none."""
+        if not self.position_counter:
+            return None
+        chip = self.chip
+        return self._sign_counter(int(chip.CORE.read_counter.with_gil(chip.pointer, self.axis.chip_axis)))
+
+    def _sign_counter(self, word: int) -> int:
+        """Return the signed number that the bits of the position counter represent."""
+        half = 1 << (self.chip.COUNTER[1] - 1)
+        return (word + half) % (2 * half) - half
+
+    def _check_position_counter(self) -> None:
+        if not self.position_counter:
+            raise ArgumentError(
+                f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} has no position counter: a host counts its pulses."
+            )
 
     def read_stop_reason(self) -> str:
         """Read from the chip why the axis stopped without a command of the host, for example "EL+"; "" if it shows no reason."""

@@ -3,6 +3,9 @@
     firmware.move(x, 10e-3)                               10 mm; on a hinge rad
     firmware.move(x, pulses=3200, speed=0.05)             50 mm/s
     firmware.line({"x": 20e-3, "y": -7.5e-3}, stage.axes)
+    action = firmware.begin_move(x, 10e-3)                returns at once; the move goes on while time passes
+
+begin_move, begin_home, begin_jog and begin_stop take the arguments of the blocking procedures, see axis_actions.py.
 
 Procedures that only one family offers are separate functions: `preset_move` and others of the PCL-240, `firmware.nova` and
 `firmware.hctl1100`.
@@ -11,13 +14,22 @@ Procedures that only one family offers are separate functions: `preset_move` and
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from stage.chips.exclusive_access import exclusive
 from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import AxesByName, Axis, check_direction, check_seconds, get_forward_direction
-from stage.firmware.driver import DEFAULT_RAMP_S, DUAL_RATE_ORDER, Driver, Speeds, get_default_speeds, get_driver
+from stage.firmware.axis_actions import AxisAction, begin_action, cancel_action, check_no_action
+from stage.firmware.driver import (
+    DEFAULT_RAMP_S,
+    DUAL_RATE_ORDER,
+    MAX_POLL_S,
+    Driver,
+    Speeds,
+    get_default_speeds,
+    get_driver,
+)
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.synchronized_report import SynchronizedReport, select_axes
 from stage.support.argument_checks import check_timeout, explain_arguments
@@ -58,9 +70,29 @@ def move(
         StageError: The axis moves already.
         RunTimeout: The axis still moved after `timeout`.
     """
+    check_no_action(axis)
     check_timeout(timeout)
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
     return get_driver(axis).move(convert_to_pulses(axis, distance, pulses), parse_speeds(axis, options), timeout)
+
+
+@exclusive
+def begin_move(axis: Axis, distance: float | None = None, **options: Any) -> AxisAction:
+    """Begin a move, and do not wait for its end.
+
+    Args:
+        axis: Axis of a Stage or a Bench.
+        distance: Signed distance, m (rad on a hinge).
+        **options: Keyword arguments of `move`.
+
+    Returns:
+        The action, whose `report` is that of `move`.
+
+    Raises:
+        ArgumentError: The chip cannot do it; nothing has moved.
+        StageError: The axis moves already, or has an action under way.
+    """
+    return begin_action(axis, "move", lambda: move(axis, distance, **options))
 
 
 @explain_arguments
@@ -123,6 +155,7 @@ def home(
         StageError: The axis moves already.
         RunTimeout: The return took longer than `timeout`.
     """
+    check_no_action(axis)
     check_direction(direction)
     check_timeout(timeout)
     driver = get_driver(axis)
@@ -140,6 +173,25 @@ def home(
         )
         raise ArgumentError(f"index={index}: {add_article(driver.chip.MAP.chip)} ends at ORG, index=0{pulses}.")
     return driver.home(direction, wanted, index, timeout)
+
+
+@exclusive
+def begin_home(axis: Axis, direction: int = -1, **options: Any) -> AxisAction:
+    """Begin a return to the mechanical origin, and do not wait for its end.
+
+    Args:
+        axis: Axis of a Stage or a Bench.
+        direction: Direction in which ORG lies, 1 or -1.
+        **options: Keyword arguments of `home`.
+
+    Returns:
+        The action, whose `report` is that of `home`.
+
+    Raises:
+        ArgumentError: The chip cannot do it; nothing has moved.
+        StageError: The axis moves already, or has an action under way.
+    """
+    return begin_action(axis, "home", lambda: home(axis, direction, **options))
 
 
 @explain_arguments
@@ -168,7 +220,43 @@ def jog(
         ArgumentError: The chip cannot do it.
         StageError: The axis moves already.
     """
+    check_no_action(axis)
     check_seconds(seconds)
+    return _jog(axis, speed, start_speed, accel, lambda driver: axis.wait(seconds))
+
+
+@exclusive
+def begin_jog(
+    axis: Axis, speed: float | None = None, *, start_speed: float | None = None, accel: float = DEFAULT_RAMP_S
+) -> AxisAction:
+    """Begin a move without an end, which `begin_stop`, `stop` or a limit switch ends.
+
+    Args:
+        axis: Axis of a Stage or a Bench.
+        speed: Signed speed of the carriage, as that of `jog`.
+        start_speed: Start speed, m/s (rad/s).
+        accel: Time of the ramps, s.
+
+    Returns:
+        The action. Its `report` says which switch has ended the move; a stop cancels the action.
+
+    Raises:
+        ArgumentError: The chip cannot do it; nothing has moved.
+        StageError: The axis moves already, or has an action under way.
+    """
+
+    def wait_for_end(driver: Driver) -> None:
+        """Wait until something stops the axis."""
+        while driver.is_running():
+            axis.wait(MAX_POLL_S)
+
+    return begin_action(axis, "jog", lambda: _jog(axis, speed, start_speed, accel, wait_for_end))
+
+
+def _jog(
+    axis: Axis, speed: float | None, start_speed: float | None, accel: float, wait: Callable[[Driver], None]
+) -> Report:
+    """Start a continuous move, call `wait`, then stop the axis with a ramp; the other arguments are those of `jog`."""
     driver, direction = get_driver(axis), get_forward_direction(axis)
     if speed is not None and speed < 0:
         direction = -direction
@@ -177,7 +265,7 @@ def jog(
     driver.prepare()
     with ProcedureObserver(axis, "jog") as p:
         driver.start_continuous_move(direction, wanted)
-        axis.wait(seconds)
+        wait(driver)
         met = "" if driver.is_running() else driver.explain_end(False, p.journal)
         driver.halt()
         return p.make_report(met or "decelerating stop")
@@ -185,8 +273,24 @@ def jog(
 
 @explain_arguments
 def stop(axis: Axis, at_once: bool = False) -> None:
-    """Stop the axis, with a ramp or at once, and wait until it is at rest."""
+    """Stop the axis, with a ramp or at once, and wait until it is at rest. An action of the axis is cancelled."""
+    cancel_action(axis)
     get_driver(axis).halt(at_once)
+
+
+@exclusive
+def begin_stop(axis: Axis, at_once: bool = False) -> AxisAction:
+    """Begin to stop the axis, with a ramp or at once, and do not wait until it is at rest. An action of the axis is cancelled.
+
+    Args:
+        axis: Axis of a Stage or a Bench.
+        at_once: Whether the axis stops without a ramp.
+
+    Returns:
+        The action, which is done when the axis is at rest. It has no report.
+    """
+    cancel_action(axis)
+    return begin_action(axis, "stop", lambda: stop(axis, at_once))
 
 
 @explain_arguments

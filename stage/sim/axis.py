@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from stage.drives.dc_motors import Servo
     from stage.drives.motors import Drive
     from stage.sim.plant import PlantAxis
+    from stage.sim.procedure_threads import ProcedureSchedule
     from stage.sim.stage import Stage
 
 
@@ -91,6 +92,10 @@ class Switches:
     def as_dict(self) -> dict[str, bool]:
         """Return the level of every switch fitted."""
         return {s.pin: getattr(self, s.pin) for s in self._axis.plant.switches}
+
+    def list_trip_positions(self) -> dict[str, float]:
+        """Return the position at which every switch fitted trips, m (rad on a hinge); ORG is approached from plus."""
+        return {s.pin: s.touch for s in self._axis.plant.switches}
 
     def __repr__(self) -> str:
         return f"Switches({', '.join(name for name, on in self.as_dict().items() if on) or 'none asserted'})"
@@ -186,6 +191,11 @@ class Axis(DeclaredAttributes):
     def time(self) -> float:
         """Simulated time of the stage, s."""
         return self.stage.time
+
+    @property
+    def procedures(self) -> ProcedureSchedule:
+        """Procedures under way on the stage."""
+        return self.stage.loop.procedures
 
     @explain_arguments
     def wait(self, seconds: float) -> None:

@@ -6,10 +6,12 @@ chips go to their journals and the samples to the recording. A step that diverge
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -19,6 +21,7 @@ from stage.chips.exclusive_access import SessionLock
 from stage.chips.journal_entries import LOAD, PACKED, SHAFT
 from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import engine, engine_records, mujoco_callbacks
+from stage.sim.procedure_threads import MIN_WAIT_NS, ProcedureSchedule
 from stage.sim.stage_handle import make_claim_token
 from stage.sim.stage_state import POWERED, SAVED, START, State
 
@@ -28,6 +31,10 @@ IN_USE = (
     "this stage is in use, by another thread or by the run that has called MuJoCo's callback: one thread at a time runs a stage "
     "or changes it. Give each thread a stage of its own, copy.deepcopy(stage); stage.sim.fleet.Fleet plays many on threads."
 )
+
+T = TypeVar("T")
+READ_RETRY_S = 1e-3
+"""Real seconds after which a thread that wants to read a stage tries again by itself."""
 
 
 class StageLoop:
@@ -46,6 +53,7 @@ class StageLoop:
             the present time. None: time passes without a pace.
         each_cycle: Function that is called before each bus cycle that Python makes, and may refuse it by an error; or None.
         lock: Lock that users of the stage take while a session is open, see stage.chips.exclusive_access; or None.
+        procedures: Procedures of a host that go on while time passes, see stage.sim.procedure_threads.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
@@ -62,12 +70,14 @@ class StageLoop:
         self.pace: Callable[[int], int] | None = None
         self.each_cycle: Callable[[], None] | None = None
         self.lock: SessionLock | None = None
+        self.procedures = ProcedureSchedule(self)
         self._words, self._pointer, self._advance = state.words, state.pointer, engine.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._opt = state.model.opt
         self._built = self._opt.timestep, self._opt.integrator
         self._piece = FIRST_PIECE_STEPS * state.dt
         self._failure: BaseException | None = None
+        self._reads: deque[tuple[Callable[[], Any], Future]] = deque()
 
     # --- the bus of the chips ---
 
@@ -76,7 +86,7 @@ class StageLoop:
         if self.each_cycle is not None:
             self.each_cycle()
         if self._bus:
-            self.run_to(self._words.item(0) + self._bus)
+            self._run_bus_cycle(self._words.item(0) + self._bus)
         else:
             self.prepare_change()
 
@@ -162,11 +172,58 @@ class StageLoop:
             SimulationError: The simulation diverges, see `Stage.run`.
             StageError: No time may pass now, or another thread runs the stage.
         """
+        procedures, now = self.procedures, self._words.item(0)
+        if procedures.running is not None:
+            procedures.running.wait_until(now, until)
+        takes_turns = procedures.running is None and until - now >= MIN_WAIT_NS
+        while True:
+            if self.time_refusal:
+                raise StageError(self.time_refusal)
+            goal = until if (pace := self.pace) is None or procedures.running else min(pace(until), until)
+            if procedures.waiting and (takes_turns or procedures.are_late(self._words.item(0))):
+                goal = procedures.plan_run(self._words.item(0), goal)
+            self._run_to(goal)
+            if goal >= until:
+                return
+
+    def _run_bus_cycle(self, until: int) -> None:
+        """Let time pass up to the end of a bus cycle, ns. No procedure goes on between the bytes of a number."""
         if self.time_refusal:
             raise StageError(self.time_refusal)
-        while (pace := self.pace) is not None and (goal := pace(until)) < until:
+        while (pace := self.pace) is not None and self.procedures.running is None and (goal := pace(until)) < until:
             self._run_to(goal)
         self._run_to(until)
+
+    def read_between_runs(self, read: Callable[[], T]) -> T:
+        """Call a function that reads the state of the stage, from any thread, at a moment at which no compiled code runs.
+
+        Args:
+            read: Function without arguments that changes nothing and makes no bus cycle.
+
+        Returns:
+            The result of `read`.
+        """
+        busy = self.state.clockwork["busy"]
+        while True:
+            if not busy.item(0):
+                before, value = self._words.item(0), read()
+                if not busy.item(0) and self._words.item(0) == before:
+                    return value
+            request: Future[T] = Future()
+            self._reads.append((read, request))
+            with suppress(TimeoutError):
+                return request.result(READ_RETRY_S)
+            request.cancel()
+
+    def _answer_reads(self) -> None:
+        """Call the functions of other threads that wait in `read_between_runs`."""
+        while self._reads:
+            read, request = self._reads.popleft()
+            if request.set_running_or_notify_cancel():
+                try:
+                    request.set_result(read())
+                except Exception as error:
+                    request.set_exception(error)
 
     @contextmanager
     def advancing_by(self, advance: Callable[[int, int], int]) -> Iterator[None]:
@@ -198,6 +255,8 @@ class StageLoop:
                 raise
             if status or recording is not None or self.state.handle["noted"]:
                 self._process_engine_status(status, until)
+            if self._reads:
+                self._answer_reads()
             if long:
                 if status == engine_records.REACHED:
                     self._piece = piece = self._choose_next_piece(perf_counter() - begin)

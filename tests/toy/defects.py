@@ -54,6 +54,25 @@ class ChecksWiring(TOY):
     DRIVER: ClassVar = "toy.defects:WiringCheckDriver"
 
 
+class StillDriver(ToyDriver):
+    """A driver that says that nothing ever moves."""
+
+    @property
+    def is_moving(self) -> bool:
+        return self.chip.clock < 0
+
+
+class UnstoppableDriver(ToyDriver):
+    """A driver whose stop does not stop."""
+
+    def halt(self, at_once: bool = False) -> None:
+        pass
+
+
+class Unstoppable(TOY):
+    DRIVER: ClassVar = "toy.defects:UnstoppableDriver"
+
+
 class RaisingLint(TOY):
     def lint(self, address: int, value: int) -> tuple[()]:
         if address & 3 == 0:
@@ -238,6 +257,9 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "a stop for all": (
         build_toy8(write=answers.write_stopping_all_axes), "axes_alone",
         "the driver's stop of axis . changes the pulses"),
+    "a driver that never stops": (Unstoppable, "actions", "is_moving is True after a stop"),
+    "an axis at rest for ever": (
+        type("TOY", (TOY,), {"DRIVER": "toy.defects:StillDriver"}), "actions", "is_moving is False while its move is under way"),
     "values of one axis": (
         FirstAxisValuesOnly, "axes_alone", "RATE = 1 written to axis 0 changes what axis_values gives for another axis"),
     "a trace that loses": (

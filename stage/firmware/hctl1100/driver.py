@@ -18,7 +18,7 @@ from stage.firmware import operation_pattern
 from stage.firmware.axis import get_forward_direction, has_positive_logic
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving
 from stage.firmware.hctl1100.chip_port import CONTROL, IDLE, LIMIT, MODE_FLAGS, SET_FLAG_BIT, STOP, ChipPort
-from stage.firmware.hctl1100.homing import hold_once_at_rest, home_servo, leave_limit
+from stage.firmware.hctl1100.homing import hold_once_at_rest, home_servo, leave_limit, subtract_origin
 from stage.firmware.hctl1100.moves import (
     FilterTuning,
     brake_trapezoid,
@@ -77,6 +77,26 @@ class Hctl1100Driver(Driver):
     def __init__(self, axis: Any):
         super().__init__(axis)
         self.port = ChipPort(axis)
+
+    @property
+    def max_rate(self) -> float:
+        """Highest velocity of a trapezoid with the sample time of `tuning`, counts/s."""
+        return NUMBERS["maximum_velocity"].maximum * self.chip.clock_hz / (16 * (self.tuning.timer + 1))
+
+    @property
+    def can_set_position_counter(self) -> bool:
+        """True: the actual position can be preset in Init/Idle."""
+        return True
+
+    def read_position_counter(self) -> int:
+        return self.port.read_position()
+
+    def _write_counter_register(self, value: int) -> None:
+        """Preset the actual position in Init/Idle, then hold it; in the meantime the motor is off for a few bus cycles."""
+        was_controlled = bool(self.port.read_control_mode())
+        subtract_origin(self.port, self.port.read_position() - value)
+        if not was_controlled:
+            self.port.enter_init_idle_mode()
 
     def prepare(self) -> ChipPort:
         """Load the filter and T if the chip is in Init/Idle, and switch to position control.

@@ -102,7 +102,7 @@ def home_servo(
     _back_out_of_switch(port, -direction, speed, acceleration, turn, timeout)
     switch = _run_to_switch(port, direction, timeout)
     found = _find_index_pulse(port, direction, turn) if index else None
-    _preset_position(port, switch if found is None else found)
+    subtract_origin(port, switch if found is None else found)
     move_by_trapezoid(port, -port.read_command_position(), velocity=speed, acceleration=acceleration, deadband=deadband)
     return ServoHomeReport(
         port.axis.name, switch, found, port.axis.time - begin, port.axis.position, getattr(port.axis, "unit", "m")
@@ -227,8 +227,8 @@ def _find_index_pulse(port: ChipPort, direction: int, turn: int) -> int:
     return port.read_position()
 
 
-def _preset_position(port: ChipPort, origin: int) -> None:
-    """Subtract `origin` from the actual position.
+def subtract_origin(port: ChipPort, origin: int) -> None:
+    """Subtract `origin` from the actual position, counts, and hold the axis where it is.
 
     The chip allows this only in Init/Idle, so the motor is off for a few bus cycles.
     """

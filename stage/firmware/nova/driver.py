@@ -86,6 +86,10 @@ class NovaDriver(Driver):
         self.port = ChipPort(axis)
         self.bit = self.port.bit
 
+    @property
+    def max_rate(self) -> float:
+        return float(get_register_range(self.map, self.SPEEDS[1])[1] * self.UNIT)
+
     # --- now ---
 
     def start(self, pulses: int, speeds: Speeds) -> None:

@@ -20,7 +20,12 @@ from stage.firmware.pcl240.line_programs import RatioLinePrograms
 from stage.firmware.pcl240.operation_pattern import Pcl240Pattern
 from stage.firmware.pcl240.origin_return import APPROACH_RATE_PPS, origin_return
 from stage.firmware.pcl240.rate_change_moves import dual_rate_move
-from stage.firmware.pcl240.speed_profile import Profile, get_default_second_rate
+from stage.firmware.pcl240.speed_profile import (
+    MAX_SPEED_STEPS,
+    Profile,
+    compute_pulse_rate,
+    get_default_second_rate,
+)
 from stage.firmware.pcl240.stop_reason import find_present_stop_cause, find_stop_reason
 from stage.firmware.pcl240.synchronized_move import synchronized_move
 from stage.firmware.synchronized_report import SynchronizedReport
@@ -47,6 +52,20 @@ class Pcl240Driver(Driver):
         self.port = ChipPort(axis)
         self._journal: Journal | None = None
         self._close = weakref.finalize(self, lambda: None)
+
+    @property
+    def max_rate(self) -> float:
+        return compute_pulse_rate(
+            MAX_SPEED_STEPS, require_clock(self.axis) or chip_port.MIN_MULTIPLIER, self.chip.clock_hz
+        )
+
+    @property
+    def position_counter(self) -> str:
+        """R10 of an MK or MS; the K has none."""
+        return "R10" if self.chip.EXTENDED else ""
+
+    def peek_position_counter(self) -> int | None:
+        return self._sign_counter(self.chip.values()["R10"]) if self.position_counter else None
 
     def get_default_second_rate(self, drive: float) -> float:
         return get_default_second_rate(drive, self.chip.clock_hz, require_clock(self.axis))

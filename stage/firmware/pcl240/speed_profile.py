@@ -29,6 +29,9 @@ RATE_TOLERANCE, TIME_TOLERANCE = 2e-4, 1e-2
 TAIL_PULSES = 5  # pulses at FL after a ramp-down (data sheet section 4, R6)
 LINEAR = PCL240.LINEAR_RAMPS
 
+MAX_SPEED_STEPS = 8191
+"""Largest value of a rate register, R1 to R3."""
+
 
 def compute_pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
     """Compute Fout = Rf clock / (8192 R7), pps (data sheet section 4, equation 4).
@@ -159,7 +162,7 @@ def compute_down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, 
 def get_default_second_rate(fh1: float, clock_hz: int, multiplier: int | None = None) -> float:
     """Return the usual FH2 for an FH1: twice the FH1 if the chip reaches that with R7 = `multiplier` (None: any R7), else FH1's
     limit."""
-    return min(2 * fh1, compute_pulse_rate(8191, multiplier or 2, clock_hz))
+    return min(2 * fh1, compute_pulse_rate(MAX_SPEED_STEPS, multiplier or 2, clock_hz))
 
 
 @explain_constructor
@@ -237,7 +240,7 @@ class Profile:
             chip.MAP.check_value("R7", multiplier)
         slowest = chip.MAP.register("R4").mask
         r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
-        max_rate = compute_pulse_rate(8191, int(r7[0]), clock_hz)
+        max_rate = compute_pulse_rate(MAX_SPEED_STEPS, int(r7[0]), clock_hz)
         fh2 = get_default_second_rate(fh1, clock_hz, multiplier) if fh2 is None else fh2
         fl = min(FL, fh1, fh2) if fl is None else fl
         decel = accel if decel is None else decel
@@ -258,7 +261,7 @@ class Profile:
         wanted = np.array([fl, fh1, fh2])
         step = clock_hz / (8192.0 * r7)
         exact = np.rint(wanted[:, None] / step)
-        speeds = np.clip(exact, 1, 8191)
+        speeds = np.clip(exact, 1, MAX_SPEED_STEPS)
         span = np.maximum(speeds.max(axis=0) - speeds[0], 1)
         times = np.array([accel, decel])
         rates = np.clip(np.rint(times[:, None] * clock_hz / span), 2, slowest)
@@ -267,7 +270,7 @@ class Profile:
         if fl == max(fh1, fh2):
             time_error[:] = 0  # nothing to ramp
         missed = np.maximum(rate_error / RATE_TOLERANCE, time_error / TIME_TOLERANCE)
-        missed[exact.max(axis=0) > 8191] = np.inf  # the top rate is reached, whatever it costs the others
+        missed[exact.max(axis=0) > MAX_SPEED_STEPS] = np.inf  # the top rate is reached, whatever it costs the others
         fine = np.flatnonzero(missed <= 1)
         best = int(fine[-1] if len(fine) else np.argmin(missed))
         (r1, r2, r3), (r4, r5) = speeds[:, best].astype(int).tolist(), rates[:, best].astype(int).tolist()

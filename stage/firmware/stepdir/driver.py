@@ -57,6 +57,10 @@ class StepDirDriver(Driver):
     DISTANCE_REGISTER: ClassVar = "STEPS"
     OPTIONS: ClassVar = frozenset({"s_curve_share", "constant", "approach"})
 
+    @property
+    def max_rate(self) -> float:
+        return float(MAP.register("RATE").range[1])
+
     # --- now ---
 
     def start(self, pulses: int, speeds: Speeds) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stage.testing.promise_trial import PromiseTrial
+from stage.testing.promises.actions import check_actions
 from stage.testing.promises.bus import (
     check_bus_lines,
     check_command_cycles,
@@ -37,6 +38,7 @@ PROMISES: dict[str, Callable[[PromiseTrial], None]] = {
     "reads": check_reads, "diagnostics": check_diagnostics, "words": check_words, "determinism": check_determinism,
     "traced": check_trace, "cut_time": check_time_in_pieces, "windows": check_windows, "drive_inputs": check_drive_inputs,
     "courses": check_move_signals, "limit_switches": check_limit_switches, "axes_alone": check_axes_alone,
+    "actions": check_actions,
     "snapshots": check_snapshots, "journals": check_journals, "resets": check_resets,
 }  # fmt: skip
 """Name of a promise, as users pass it to `chip_conformance` -> function that checks it. Its docstring is what reports show."""

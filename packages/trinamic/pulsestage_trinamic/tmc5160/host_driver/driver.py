@@ -171,6 +171,17 @@ class Tmc5160Driver(Driver):
             min(drive.amplitude, max_amplitude) if drive is not None else max_amplitude, self.chip.rsense
         )
 
+    @property
+    def max_rate(self) -> float:
+        return get_register_range(self.chip.MAP, "VMAX")[1] * self.chip.clock_hz / (1 << 24)
+
+    def _write_counter_register(self, value: int) -> None:
+        """Set XACTUAL, and XTARGET with it, so that the axis stays where it is."""
+        self.write_register("RAMPMODE", state.HOLD)
+        self.write_register("XACTUAL", value)
+        self.write_register("XTARGET", value)
+        self.write_register("RAMPMODE", state.POSITION)
+
     def prepare(self) -> None:
         """Switch the power stage on if it is off, with the currents of the axis' Drive."""
         if not self.read_register("CHOPCONF") & 15:
