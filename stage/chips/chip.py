@@ -55,6 +55,7 @@ class Bus(Protocol):
 
     def ensure_powered(self) -> None:
         """Power the chips up again if MuJoCo has cleared their state; call it before a state is read between bus cycles."""
+        return None
 
     def prepare_change(self) -> None:
         """Prepare for a change of a chip's state between bus cycles.
@@ -62,6 +63,7 @@ class Bus(Protocol):
         Raises:
             StageError: The state may not change now.
         """
+        return None
 
 
 class Snapshot(SavableSnapshot):
