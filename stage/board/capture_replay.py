@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.board.pin_assignment import DRIVEN, PRESETS, PinLine, parse_pins
+from stage.board.pin_assignment import DRIVEN, PRESETS, UART_LINE, PinLine, parse_pins
 from stage.errors import ArgumentError
 from stage.firmware.axis import check_seconds
 from stage.recording.vcd_reader import Capture, CaptureError, read_capture
@@ -221,6 +221,8 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
     check_seconds(rest)
     texts = [pins] if isinstance(pins, str) else list(pins)
     lines = parse_pins(texts, {name: axis.chip for name, axis in stage.axes.items()})
+    if uart := next((line for line in lines if line.line == UART_LINE), None):
+        raise ArgumentError(f"--pins {uart}: a capture has signals, no serial lines. Leave it out.")
     if not any(line.line == "step" for line in lines):
         raise ArgumentError("--pins names no STEP line, so nothing would move: write x.step=D2,x.dir=D5.")
     capture = read_capture(path)

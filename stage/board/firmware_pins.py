@@ -10,6 +10,7 @@ import numpy as np
 
 from stage.board.pin_assignment import (
     DRIVEN,
+    UART_LINE,
     PinLine,
     PinUse,
     WiringFinding,
@@ -46,7 +47,8 @@ def parse_firmware_pins(texts: str | Iterable[str], stage: Stage) -> tuple[PinLi
     """
     lines = parse_pins(texts, {name: axis.chip for name, axis in stage.axes.items()})
     for line in lines:
-        _parse_pin(line)
+        if line.line != UART_LINE:
+            _parse_pin(line)
     return lines
 
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 from stage.board import firmware_library, memory_mapped_ports
 from stage.board.board import Board
@@ -24,10 +24,11 @@ from stage.board.errors import HostTimeout
 from stage.board.firmware_pins import parse_firmware_pins
 from stage.board.host_record_link import UNBOUNDED
 from stage.board.pacing import RealTimePace
-from stage.board.pin_assignment import PinLine, WiringFinding
+from stage.board.pin_assignment import PinLine, WiringFinding, split_uart_lines
 from stage.board.serial_line import SerialPort
 from stage.board.temporary_folders import TemporaryFolder
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
+from stage.board.uart_wire import UartWire
 from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
@@ -106,6 +107,7 @@ class Host:
         self.is_closed = False
         self.serial = SerialPort(self)
         self.pacing: RealTimePace | None = None
+        self._wires: list[tuple[tuple[str, ...], UartWire]] = []
 
     @classmethod
     def _check_arguments(cls, board: Board, patience: float, example: str) -> None:
@@ -115,6 +117,23 @@ class Host:
         if not (isinstance(patience, int | float) and patience > 0):
             raise ArgumentError(f"patience={patience!r}: seconds of real time, more than 0.")
 
+    def _connect_uarts(self, wires: Mapping[int, Sequence[str]]) -> None:
+        """Connect the UARTs of axes' chips to serial lines of the firmware.
+
+        Args:
+            wires: Names of the axes by the number of the serial line.
+
+        Raises:
+            ArgumentError: The firmware does not have the serial line.
+        """
+        for number, axes in wires.items():
+            if number:
+                raise ArgumentError(f"--pins {axes[0]}.uart: this firmware has one serial line, Serial.")
+            chips: list[Any] = [self.board.stage.axes[name].chip for name in axes]
+            wire = UartWire([chip.uart for chip in chips], self.board.serial.read_byte_ns)
+            self.serial.connect(wire)
+            self._wires.append((tuple(axes), wire))
+
     @property
     def running(self) -> bool:
         """True while the firmware has started and has not returned; it is then paused in a bus cycle or delay."""
@@ -123,7 +142,13 @@ class Host:
     @property
     def wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Signs that lines of axes are at the wrong pins of the firmware, as of the last pause or end."""
-        return self._runner.wiring_findings
+        return self._runner.wiring_findings + tuple(
+            WiringFinding(
+                "", f"The chips of {', '.join(axes)} reply at once over their UART: give each another address."
+            )
+            for axes, wire in self._wires
+            if wire.collisions
+        )
 
     @property
     def wiring_problems(self) -> tuple[str, ...]:
@@ -353,7 +378,7 @@ class NativeHost(Host):
                 f"cost={cost!r}: simulated seconds a basic block, 1e-12 to 1, for example 50e-9; 0 for none."
             )
         mapped = memory_mapped_ports.parse_windows(map)
-        lines = parse_firmware_pins(pins, board.stage)
+        lines, wires = split_uart_lines(parse_firmware_pins(pins, board.stage))
         self._scratch = (
             TemporaryFolder() if firmware_library.are_sources(firmware) else None
         )  # what is built goes with the host
@@ -361,6 +386,7 @@ class NativeHost(Host):
         path = firmware_library.find_library(firmware, flags, platform, folder, cost > 0, libraries)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12), lines), board, isolated, patience)
         board.serial.record["is_wired"] = 1
+        self._connect_uarts(wires)
 
 
 def to_nanoseconds(seconds: float, name: str) -> int:

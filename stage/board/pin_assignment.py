@@ -1,10 +1,11 @@
 """`parse_pins`: which pins of a microcontroller, or signals of a capture, are the STEP/DIR lines and the switches of axes, as text.
 
-    x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1
+    x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1,x.uart=Serial1
 
 A `!` in front of a pin inverts it: the line is asserted while the pin is low. The names of presets stand for the wiring of common
 boards. Lines that the microcontroller drives: step, dir, enable. Lines that it reads: limit (either end limit), limit_plus,
-limit_minus, origin, probe, and the outputs diag and index of power stages that have them.
+limit_minus, origin, probe, and the outputs diag and index of power stages that have them. `uart` connects the UART of a power
+stage to a serial line of the microcontroller; axes at one line share one wire.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from stage.chips import Chip
 from stage.chips.stepdir.line_names import DRIVEN, READ, has_line
 from stage.errors import ArgumentError, unknown_name_error
 
-SHARED = ("enable", *READ)
+UART_LINE = "uart"
+SERIAL_LINES = {"Serial": 0, "Serial1": 1, "Serial2": 2, "Serial3": 3, "SoftwareSerial": 4}
+"""Serial lines of a microcontroller by the names of Arduino, and their numbers; SoftwareSerial is the first one of a sketch."""
+SHARED = ("enable", UART_LINE, *READ)
 """Lines of several axes that may be on one pin."""
 NO_PIN = "none"
 """What an entry says in place of a pin to take a line out of a preset."""
@@ -96,7 +100,9 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case:
     _check_direction_lines(lines)
     lines = {key: line for key, line in lines.items() if line.pin != NO_PIN}
     if fold_case:
-        lines = {key: line._replace(pin=line.pin.upper()) for key, line in lines.items()}
+        lines = {
+            key: line if line.line == UART_LINE else line._replace(pin=line.pin.upper()) for key, line in lines.items()
+        }
     for line in lines.values():
         _check_pin_line(line, chips)
     _check_pins(lines.values())
@@ -109,9 +115,22 @@ def _parse_entry(entry: str) -> PinLine:
     if match is None:
         presets = ", ".join(PRESETS)
         raise ArgumentError(f"--pins {entry!r}: write {FORM}, or one of {presets}.")
+    if match["line"] == UART_LINE:
+        return _parse_uart_entry(match)
     if match["line"] not in DRIVEN | READ:
-        raise ArgumentError(f"--pins {entry!r}: {unknown_name_error('line', match['line'], DRIVEN | READ)}")
+        names = (*DRIVEN, *READ, UART_LINE)
+        raise ArgumentError(f"--pins {entry!r}: {unknown_name_error('line', match['line'], names)}")
     return PinLine(match["axis"], match["line"], match["pin"], bool(match["invert"]))
+
+
+def _parse_uart_entry(match: re.Match[str]) -> PinLine:
+    """Return the line of an entry such as x.uart=Serial1. Raises ArgumentError if it names no serial line."""
+    name = next((name for name in SERIAL_LINES if name.lower() == match["pin"].lower()), None)
+    if match["invert"] or (name is None and match["pin"] != NO_PIN):
+        raise ArgumentError(
+            f"--pins {match[0]!r}: a UART is at a serial line, {', '.join(SERIAL_LINES)}, or {NO_PIN}: {match['axis']}.uart=Serial."
+        )
+    return PinLine(match["axis"], UART_LINE, name or NO_PIN, False)
 
 
 def _check_replaced_line(old: PinLine | None, new: PinLine) -> None:
@@ -134,12 +153,14 @@ def _check_pin_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
     if line.axis not in chips:
         raise ArgumentError(f"--pins {line}: {unknown_name_error('axis', line.axis, chips)}")
     chip = chips[line.axis]
-    if "step" in chip.INPUTS and not has_line(chip, line.line):
+    has = getattr(chip, "uart", None) is not None if line.line == UART_LINE else has_line(chip, line.line)
+    if "step" in chip.INPUTS and not has:
+        kind = "" if line.line == UART_LINE else "output "
         raise ArgumentError(
-            f"--pins {line}: the power stage of axis {line.axis} has no output {line.line}. Choose one that has it "
+            f"--pins {line}: the power stage of axis {line.axis} has no {kind}{line.line}. Choose one that has it "
             "(stage list power-stages), or leave the line out."
         )
-    if not has_line(chip, line.line):
+    if not has:
         raise ArgumentError(
             f"--pins {line}: axis {line.axis} has a {type(chip).__name__}, which makes its own steps. Make it a STEP/DIR axis: "
             f"--chips stepdir."
@@ -156,6 +177,19 @@ def _check_pins(lines: Iterable[PinLine]) -> None:
             raise ArgumentError(
                 f"--pins: pin {line.pin} is used twice, by {other} and {line}. Give each line its own pin."
             )
+
+
+def split_uart_lines(lines: Sequence[PinLine]) -> tuple[tuple[PinLine, ...], dict[int, list[str]]]:
+    """Split lines into those at pins and the UARTs at serial lines.
+
+    Returns:
+        The lines at pins, and the names of the axes by the number of their serial line.
+    """
+    wires: dict[int, list[str]] = {}
+    for line in lines:
+        if line.line == UART_LINE:
+            wires.setdefault(SERIAL_LINES[line.pin], []).append(line.axis)
+    return tuple(line for line in lines if line.line != UART_LINE), wires
 
 
 class WiringFinding(NamedTuple):

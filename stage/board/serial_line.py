@@ -80,6 +80,10 @@ class SerialLine:
         """Number of bytes that can be fed now."""
         return ROOM - self._count_bytes("fed", "removed")
 
+    def read_byte_ns(self) -> int:
+        """Return the time of a byte at the rate that the firmware has set, ns; 0: it has set none."""
+        return int(self.record["byte_ns"] or self.record["sent_byte_ns"])
+
     def feed(self, content: bytes) -> None:
         """Send bytes to the firmware, at most `free`."""
         line, now = self.record, self._board.stage.now

@@ -107,7 +107,8 @@ def _add_target_options(p: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="pins of firmware, or of an AVR, that drive STEP/DIR axes and read their switches: x.step=D2,x.dir=D5,x.limit=!B1, "
-        "or a board: grbl, cnc-shield-v3, ramps (docs/step_dir.md)",
+        "or a board: grbl, cnc-shield-v3, ramps (docs/step_dir.md); x.uart=Serial connects the UART of a power stage to the "
+        "firmware's serial line",
     )  # fmt: skip
     g.add_argument(
         "--mcu-clock",

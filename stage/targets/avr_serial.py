@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus.host_record import HOST, LOG, READ_SERIAL, SEND_SERIAL, TAKE
-from stage.board.bus.serial_core import LINE
+from stage.board.bus.serial_core import LINE, SECOND
 from stage.native import array_at, declare_address_call, exported, greatest, hot, record
 from stage.sim.stage_handle import INTEGER
 from stage.targets.avr_core import AVR, get_cycle_count
@@ -86,6 +86,7 @@ def handle_sent_byte(_irq, value, uart):
     array_at(uart.byte_cycles_at, 1, INTEGER)[0] = duration  # simavr counts a parity bit that is not there
     if uart.connected and uart.queued < QUEUE:
         now = get_cycle_count(cpu)
+        _get_serial_line(cpu).sent_byte_ns = duration * SECOND // cpu.hz
         uart.done = greatest(uart.done, now) + duration
         place = (uart.first + uart.queued) % QUEUE
         uart.queue[place], uart.ends[place] = value, uart.done

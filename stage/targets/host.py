@@ -18,7 +18,7 @@ from pathlib import Path
 from stage.board.board import Board
 from stage.board.host import Host
 from stage.board.memory_mapped_ports import Window, parse_windows
-from stage.board.pin_assignment import PinLine, parse_pins
+from stage.board.pin_assignment import PinLine, parse_pins, split_uart_lines
 from stage.board.thread_runner import PATIENCE_S, Program
 from stage.errors import ArgumentError
 from stage.targets import mcus
@@ -82,11 +82,13 @@ class TargetHost(Host):
         maps = [map] if isinstance(map, str) else list(map)
         chips = {name: axis.chip for name, axis in board.stage.axes.items()}
         hz = None if mcu_clock is None else round(mcu_clock)
-        program = make_program(Path(firmware), self.mcu, maps, parse_pins(pins, chips, fold_case=True), hz, gdb)
+        lines, wires = split_uart_lines(parse_pins(pins, chips, fold_case=True))
+        program = make_program(Path(firmware), self.mcu, maps, lines, hz, gdb)
         super().__init__(program, board, isolated, DEBUG_PATIENCE_S if gdb else patience)
         self.serial_lack = (
             AVR_SERIAL_LACK if mcu in mcus.AVRS else CORTEX_SERIAL_LACK if mcu in mcus.CORTEX else PC_SERIAL_LACK
         )
+        self._connect_uarts(wires)
 
 
 def _check_port_is_free(port: int) -> None:

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from stage.board.serial_ends import PtyEnd
+from stage.board.uart_wire import UartWire
 from stage.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ YIELD_S = 20e-6
 """Real time for which a thread then steps back."""
 POLL_S = 200e-6
 """Real time between two looks at the serial port while no simulated time passes."""
-QUEUE_BYTES = 64
 CLOCKS = ("time", "monotonic", "perf_counter")
 
 
@@ -49,9 +49,9 @@ class HostBench:
         self.stage = stage
         self._lock = threading.RLock()
         self._watched: list[tuple[Any, str, Callable[[bool], Any], list[bool]]] = []
-        self._ports: list[Any] = []
         self._end: PtyEnd | None = None
-        self._echo, self._to_host, self._exchanged = True, bytearray(), stage.time
+        self._wire: UartWire | None = None
+        self._to_host, self._exchanged = b"", stage.time
         self._server: threading.Thread | None = None
         self._closes = threading.Event()
         self._real_functions: dict[str, Any] = {}
@@ -99,26 +99,19 @@ class HostBench:
                 raise ArgumentError(f"open_uart({name!r}): the chip of this axis has no UART.")
         if self._end is not None or not axes:
             raise ArgumentError("open_uart: name the axes of one wire; a bench has one serial port.")
-        self._ports = [self.stage.axes[name].chip.uart for name in axes]
-        self._echo, self._end = echo, PtyEnd()
+        self._wire = UartWire([self.stage.axes[name].chip.uart for name in axes], echoes=echo)
+        self._end = PtyEnd()
         self._server = threading.Thread(target=self._serve, name="UART of a HostBench", daemon=True)
         self._server.start()
         return str(self._end.path)
 
     def _exchange(self) -> bool:
         """Move bytes between pseudo-terminal and chips, and return whether bytes are on their way."""
-        if self._end is None:
+        if self._end is None or self._wire is None:
             return False
-        for port in self._ports:
-            self._to_host += port.read()
-        room = QUEUE_BYTES - max(port.pending for port in self._ports)
-        content, self._to_host = bytes(self._to_host), bytearray()
-        received = self._end.exchange(content, self.stage.now, room)
-        for port in self._ports if received else ():
-            port.write(received)
-        if self._echo:
-            self._to_host += received
-        return bool(self._to_host) or any(port.pending or port.is_replying for port in self._ports)
+        now, room = self.stage.now, self._wire.room
+        self._to_host = self._wire.exchange(self._end.exchange(self._to_host, now, room), now, room)
+        return bool(self._to_host) or self._wire.is_busy
 
     def _serve(self) -> None:
         """Let time pass while a program waits for a reply, until `close`."""

@@ -10,21 +10,25 @@ from stage.native import hot, least, record
 
 ROOM = 4096
 """Bytes that can be on their way in each direction."""
-NO_BYTE = -1
+NO_BYTE, ANY_BYTE = -1, -2
 SECOND = 1_000_000_000
 BITS_PER_BYTE = 10
 """Bits of a character on the line: a start bit, 8 data bits, a stop bit."""
 LINE = record(
-    [(name, "i8") for name in "fed removed sent read lost pausing_byte is_open is_wired byte_ns due".split()]
+    [
+        (name, "i8")
+        for name in "fed removed sent read lost pausing_byte is_open is_wired byte_ns due sent_byte_ns".split()
+    ]
     + [("incoming", "u1", (ROOM,)), ("outgoing", "u1", (ROOM,))]
 )
 """fed, removed    bytes from the other end so far, and how many of them the firmware has read
     sent, read      bytes of the firmware so far, and how many of them the other end has taken
     lost            bytes of the firmware that found no room
-    pausing_byte    the byte after which the firmware pauses, or NO_BYTE
+    pausing_byte    the byte after which the firmware pauses, NO_BYTE or ANY_BYTE
     is_open         whether the other end takes bytes
     is_wired        whether the firmware has a serial line
     byte_ns, due    ns that a byte takes (0: none), where no emulated UART counts that itself; when the next byte has arrived
+    sent_byte_ns    ns that the last byte of an emulated UART took
     incoming, outgoing   circular buffers
 """
 
@@ -70,4 +74,4 @@ def put_byte(line, value):
         return False
     line.outgoing[line.sent % ROOM] = value
     line.sent += 1
-    return line.pausing_byte == value
+    return line.pausing_byte in (value, ANY_BYTE)

@@ -38,6 +38,8 @@ def describe_write(address: int, value: int) -> str:
         return f"UART <- {value & 0xFF:02X}h"
     if address == maps.UART_BIT_NS:
         return f"UART: {value} ns a bit"
+    if address == maps.UART_OTHER:
+        return f"UART: {value & 0xFF:02X}h from another chip"
     return step_timer.describe_write(address, value)
 
 

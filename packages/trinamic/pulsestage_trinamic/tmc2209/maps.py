@@ -11,8 +11,9 @@ from typing import Any
 from stage.chips.register_map import Field, Register, RegisterMap
 from stage.chips.stepdir.maps import MAP as STEP_TIMER
 
-UART_BYTE, UART_BIT_NS = 0x10, 0x11
-"""Bus addresses of the host's UART: a byte to send or one that has come, and the time of a bit, ns."""
+UART_BYTE, UART_BIT_NS, UART_OTHER = 0x10, 0x11, 0x12
+"""Bus addresses of the host's UART: a byte to send or one that has come; the time of a bit, ns; a byte of another chip on the same
+wire, which ends now."""
 NO_BYTE = 0x100
 """Result of a read of UART_BYTE when no byte has come."""
 REGISTER_BASE = 0x80

@@ -76,9 +76,8 @@ def process_event(c):
     if c.clock >= c.arrives:
         byte = c.to_chip[c.delivered % state.QUEUE]
         c.delivered += 1
-        bits = compute_bit_clocks(c)
-        c.arrives = c.clock + BYTE_BITS * bits if c.queued > c.delivered else state.NEVER
-        _receive(c, byte, bits)
+        receive_byte(c, byte)
+        c.arrives = c.clock + BYTE_BITS * compute_bit_clocks(c) if c.queued > c.delivered else state.NEVER
     elif c.clock >= c.replies:
         _send_reply_byte(c)
 
@@ -89,8 +88,9 @@ def _is_rate_understood(c, bits):
 
 
 @hot
-def _receive(c, byte, bits):
+def receive_byte(c, byte):
     """Take a byte whose stop bit ends now."""
+    bits = compute_bit_clocks(c)
     begin = c.clock - BYTE_BITS * bits
     if c.received and begin - c.byte_begin > PAUSE_BITS * bits:
         c.received = 0

@@ -18,6 +18,7 @@ from stage.errors import ArgumentError, StageError
 if TYPE_CHECKING:
     from pulsestage_trinamic.tmc2209 import TMC2209
 
+SECOND_NS = 1_000_000_000
 BAUD_RANGE = (300, 2_000_000)
 
 
@@ -80,6 +81,11 @@ class UartPort:
         return int(c["queued"] - c["delivered"])
 
     @property
+    def room(self) -> int:
+        """Number of bytes that can be written now."""
+        return state.QUEUE - self.pending
+
+    @property
     def is_replying(self) -> bool:
         """True while a reply is on its way."""
         return int(self._chip.state["replied"]) < state.DATAGRAM
@@ -93,12 +99,23 @@ class UartPort:
         """
         if not isinstance(content, bytes | bytearray):
             raise ArgumentError(f"write({content!r}): give bytes, such as bytes.fromhex('05000048').")
-        if self.pending + len(content) > state.QUEUE:
+        if len(content) > self.room:
             raise StageError(
                 f"{len(content)} bytes: the line holds {state.QUEUE}, and {self.pending} are on their way. Let time pass first."
             )
         for byte in content:
             self._chip.write(maps.UART_BYTE, byte)
+
+    def receive_reply(self, content: bytes) -> None:
+        """Let the chip receive bytes of another chip on the same wire that have just ended."""
+        for byte in content:
+            self._chip.write(maps.UART_OTHER, byte)
+
+    def find_next_byte_ns(self) -> int | None:
+        """Return the time from now to the end of the next byte of either side, ns; None: no byte is on its way."""
+        c = self._chip.state
+        clock = min(int(c["arrives"]), int(c["replies"]))
+        return None if clock == state.NEVER else max(0, -(-(clock - int(c["clock"])) * SECOND_NS // int(c["hz"])))
 
     def read(self, size: int | None = None) -> bytes:
         """Return bytes that the chip has sent and that nobody has read, at most `size`. No time passes but that of bus cycles."""
