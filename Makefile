@@ -90,7 +90,7 @@ print(*(re.sub(r">=([\d.]+).*", r"==\1.*", need) for need in needs if ">=" in ne
 endef
 export OLDEST
 
-# as `pip install pulsestage` and what tests need: no rerun, no pandas, no pyarrow
+# as an installation without extras and what tests need: no rerun, no pandas, no pyarrow
 test-small:
 	rm -rf build/small
 	$(PYTHON) -m venv build/small
@@ -170,7 +170,7 @@ results: .venv/.dev
 	$(BIN)/python -m registerbench.baselines.results
 
 pictures: .venv/.dev
-	$(BIN)/stage demo --no-view --force --picture docs/pictures/dashboard.png
+	$(BIN)/stage demo --no-window --force --picture docs/pictures/dashboard.png
 	$(BIN)/stage home x --from -90 --force --plot docs/pictures/origin_return.png
 	$(BIN)/stage pullout --force --plot docs/pictures/pullout.png
 	$(BIN)/stage erratum --force --plot docs/pictures/erratum.png

@@ -13,7 +13,7 @@ from support.extras import needs_rerun
 from support.recording_bench import rerun_cli
 
 from stage import Stage
-from stage.cli import demo, main
+from stage.cli import GROUPS, build_parser, demo, main
 
 
 @pytest.fixture
@@ -261,8 +261,61 @@ def test_a_full_standard_output_is_reported_and_files_are_written(work_folder, s
     assert shell("stage --help > /dev/full") == full
 
 
-def test_without_a_command_the_help_is_printed(capsys):
-    assert "usage: stage" in run_command(capsys, code=2).out
+def test_without_a_command_ten_lines_say_what_to_type(capsys):
+    lines = run_command(capsys, code=2).out.splitlines()
+    assert len(lines) == 10
+    assert sum(line.startswith("  stage ") for line in lines) == 6
+    for line in lines:
+        if line.startswith("  stage "):
+            assert line.split()[1] in GROUPED
+
+
+GROUPED = [name for names in GROUPS.values() for name in names]
+
+
+def test_the_help_lists_each_command_once_by_the_goal_of_a_user(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    listed = re.findall(r"^  ([a-z-]+)  +\w", text, re.M)
+    (action,) = (a for a in build_parser(["demo"])._actions if a.metavar == "COMMAND")
+    commands = [name for name in listed if name != "stage"]
+    assert set(action.choices) <= set(commands)
+    assert len(set(commands)) == len(commands)
+    assert re.findall(r"^(\w[\w ]*):$", text, re.M)[1:-1] == list(GROUPS)
+    assert max(map(len, text.splitlines())) <= 100
+
+
+@needs_rerun
+def test_the_demo_without_a_screen_leaves_a_recording_and_a_picture(work_folder, capsys):
+    """stage demo | cat"""
+    output = run_command(capsys, "demo", "--model", "xy").out
+    assert re.search(r"^demo\.rrd: .*\ndemo\.png: ", output, re.M)
+    assert (work_folder / "demo.png").read_bytes()[1:4] == b"PNG"
+    output = run_command(capsys, "demo", "--model", "xy").out
+    assert re.search(r"^demo-2\.rrd: .*\ndemo-2\.png: ", output, re.M)
+
+
+def test_a_command_in_a_pipe_ends_even_if_its_screen_does_not_answer(work_folder, monkeypatch):
+    """DISPLAY=:99 stage demo | cat, through ssh -X without an X server"""
+    environment = os.environ | {"DISPLAY": ":99"}
+    command = [sys.executable, "-m", "stage", "demo", "--model", "xy"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0
+    assert "demo.png" in done.stdout
+
+
+def test_no_window_has_one_name_in_all_commands_and_the_former_ones_work():
+    parser = build_parser(["demo"])
+    for words in (["demo"], ["panel"], ["run", "a.c"], ["serve"]):
+        former = "--no-view" if words == ["demo"] else "--no-browser"
+        assert parser.parse_args([*words, "--no-window"]).no_window
+        assert parser.parse_args([*words, former]).no_window
+        assert not parser.parse_args(words).no_window
+    (action,) = (a for a in parser._actions if a.metavar == "COMMAND")
+    assert all(
+        "--no-view" not in p.format_help() and "--no-browser" not in p.format_help() for p in action.choices.values()
+    )
 
 
 @pytest.mark.parametrize(

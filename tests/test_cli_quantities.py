@@ -66,7 +66,7 @@ def test_every_option_that_is_a_quantity_takes_its_units(monkeypatch):
         for option in a.option_strings
         if option[:2] == "--"
     }
-    assert unitless_options == {"--speed", "--s-curve"}, "what has no unit"
+    assert unitless_options == {"--pace", "--speed", "--s-curve"}, "what has no unit"
     line = "move x 100 --fl 500pps --fh1 2kpps --accel 50ms --decel 0.1s --bus-voltage 36V --bus-cycle 2us"
     args = build_parser().parse(line.split())
     assert (args.fl, args.fh1, args.accel, args.decel, args.bus_voltage) == (500, 2000, 0.05, 0.1, 36)

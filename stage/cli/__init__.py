@@ -6,11 +6,12 @@ message says what to do; 130: interrupted.
 
 from __future__ import annotations
 
+import argparse
 import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stage.cli.argument_parser import Parser
@@ -19,29 +20,41 @@ MODULES = (
     "demo", "home", "move", "tune", "mcp", "run", "replay", "serve", "panel", "fault", "erratum", "export", "example", "listing",
     "pullout", "view", "new_model", "completion",
 )  # fmt: skip
-"""Modules of this package that add commands, in the order of the help text."""
+"""Modules of this package that add commands."""
+
+GROUPS = {
+    "see": ("demo", "panel", "view", "fault", "erratum", "pullout"),
+    "move": ("move", "home", "dual-rate", "sync"),
+    "test firmware": ("run", "replay", "serve", "include"),
+    "tune and learn": ("tune", "mcp", "agent", "agent-replay", "bench", "bench-submit", "bench-table", "bench-verify"),
+    "more": ("example", "new-model", "list", "chips", "registers", "export", "completion"),
+}
+"""Commands by the group of the help text; a command of another package that is in none of them belongs to the last group."""
+
+DESCRIPTION = "PulseStage: emulated motion-control chips drive motors, and the motors move a machine in MuJoCo."
+
+OVERVIEW = f"""\
+{DESCRIPTION}
+
+  stage demo               home and move three axes, and draw what happened
+  stage panel              a live machine in a browser
+  stage move x 10mm        one move, with the bytes that made it
+  stage run driver.c       your firmware, in C or as the binary of a microcontroller
+  stage tune xy            registers for a move of an axis, with a proof
+  stage example            programs, drivers and notebooks to copy
+
+`stage --help` lists all commands, `stage COMMAND --help` explains one.
+"""
+"""Text of the bare command `stage`."""
 
 EPILOG = """\
 examples:
-  stage demo                              home three axes, dual-rate move, a:b move; writes demo.rrd
-  stage home x --plot home.png            origin return, drawn like the data sheet's operation patterns
-  stage move x 8000 --fh1 20000           a preset move of 8000 pulses
-  stage move x 10mm --chips hctl1100      with any chip: 10 mm by a servo
-  stage move x 8000 --chips pcl240ms --s-curve --plot s.png
-  stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
-  stage tune xy --payload 2 --distance 100mm     registers for an axis: formula, search, proof
+  stage home x --plot home.png            an origin return, drawn as data sheets do
+  stage move x 10mm --speed 50mm/s        a move with any chip: --chips mcx514
+  stage move x 8000 --fh1 20000           the same in pulses, and pulses per second
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
-  stage replay capture.vcd --pins x.step=D2,x.dir=D5    the steps of a real controller, from a logic analyser
-  stage panel xy                          a live stage in a browser
-  stage mcp xy                            tools for agents, by the Model Context Protocol
-  stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
-  stage fault                             the faults; `stage fault jam --plot jam.png` shows one
-  stage export demo.rrd -o demo.csv       the columns of a recording as a table
-  stage example                           the examples; `stage example stall` copies one
-  stage erratum                           the S-curve failure of the MCX304: endless pulses, and a work-around
-  stage chips                             the chips, also those of other packages
+  stage fault jam --plot jam.png          the effect of a bearing that jams
   stage registers pcl240k                 the register map of a chip
-  stage pullout --motor 17HS4401          the pull-out curve of a motor
 
 exit codes: 0 success, 1 the run failed (lost steps, limit switch), 2 wrong usage, 130 interrupted
 """
@@ -65,7 +78,7 @@ def _run(argv: Sequence[str] | None) -> int:
     complete(parser)
     args = parser.parse([*words[1:], "--help"] if words[:1] == ["help"] else words)
     if args.run is None:
-        parser.print_help()
+        print(OVERVIEW, end="")
         return 2
     try:
         return args.run(args)
@@ -95,15 +108,27 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     from stage.cli.package_commands import add_package_commands
 
     parser = Parser(
-        prog="stage",
-        description="Emulated motion-control chips drive an XYZ stage in MuJoCo, register for register.",
-        epilog=EPILOG,
-    )
+        prog="stage", usage="stage [-h] [--version] COMMAND ...", description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
     parser.set_defaults(run=None)
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    commands = parser.add_subparsers(prog="stage", metavar="COMMAND", help=argparse.SUPPRESS)
     for name in MODULES:
         import_module(f"stage.cli.{name}").add_subcommand(commands)
     if not (words and words[0] in commands.choices):
         add_package_commands(commands)
+    parser.epilog = f"{format_groups(commands)}\n{EPILOG}"
     return parser
+
+
+def format_groups(commands: Any) -> str:
+    """Return the list of commands for the help text: a heading for each group, and a line for each command."""
+    effects = {name: getattr(p, "summary", "") for name, p in commands.choices.items()}
+    listed = {name for names in GROUPS.values() for name in names}
+    *_, last = GROUPS
+    lines = []
+    for group, names in GROUPS.items():
+        others = [name for name in effects if name not in listed] if group == last else []
+        lines += [f"{group}:", *(f"  {name:14}{effects[name]}" for name in (*names, *others) if name in effects), ""]
+    return "\n".join(lines)

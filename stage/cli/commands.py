@@ -59,6 +59,7 @@ def add_command(
         json: Whether the command has the option --json.
     """
     p = commands.add_parser(name, help=help_, description=description, epilog=format_examples(examples, more))
+    p.summary = help_
     if json:
         p.add_argument("--json", action="store_true", help="print JSON instead of text")
 

@@ -27,15 +27,15 @@ HEADINGS = ("axis", "procedure", "asked", "pulses", "s", "peak pps", "position",
 def add_subcommand(commands: Any) -> None:
     """Add `stage demo` to argparse's subparsers."""
     p = add_command(
-        commands, "demo", run, "home and move the axes of a stage, and write demo.rrd",
-        "Home all axes, make a dual-rate move and an a:b move, print a table and write a recording.",
-        ("stage demo", "move the stage xyz and write demo.rrd"),
-        ("stage demo --chips mcx514 --model xy --no-view", "use other chips, and open no window"),
+        commands, "demo", run, "home and move three axes, and draw what happened",
+        "Home all axes, make a dual-rate move and an a:b move, print a table, and write a recording and a diagram of it.",
+        ("stage demo", "move the stage xyz; write demo.rrd and demo.png"),
+        ("stage demo --chips mcx514 --model xy --no-window", "use other chips, and open no window"),
         ("stage demo --picture demo.png", "draw the dashboard to a file; needs no screen"),
     )  # fmt: skip
     options.add_stage_and_output_options(p)
     p.set_defaults(default_record="demo.rrd")
-    p.add_argument("--no-view", action="store_true", help="do not open the viewer even where there is a screen")
+    options.add_no_window_option(p, "do not open the viewer even where there is a screen", "--no-view")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,7 +50,9 @@ def run(args: argparse.Namespace) -> int:
         low, high = group[0].travel
         place = round(0.5 * (low + high) + START_PLACES[k % len(START_PLACES)] * (high - low), 3)
         stage.place(**{axis.name: place for axis in group})
-    if is_installed("rerun") and has_screen() and not args.no_view and not args.web:
+    if not (args.record or args.picture or args.web):
+        args.default_picture = "demo.png"
+    if is_installed("rerun") and has_screen() and not args.no_window and not args.web:
         args.view = True
     with record_to_files(args, stage), show_simulated_time(stage):
         reports = make_moves(stage)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli.commands import add_command, add_facts, report_written_file
+from stage.support.extras import is_installed
 
 
 def add_subcommand(commands: Any) -> None:
@@ -26,7 +27,6 @@ def add_subcommand(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Copy an example, or list all examples."""
     from stage.support import examples
-    from stage.support.extras import is_installed
 
     if args.name is None:
         titles = {name: _describe_example(name) for name in examples.EXAMPLE_PATHS}
@@ -37,9 +37,8 @@ def run(args: argparse.Namespace) -> int:
     name = args.name.removesuffix(".py")
     copy = examples.copy_example(name, Path(args.to), args.force)
     extra = examples.REQUIREMENTS.get(name)
-    report_written_file(
-        args, copy, _next_step(copy) + (f"; it {extra}" if extra and not is_installed(extra.library) else "")
-    )
+    is_missing = extra is not None and not is_installed(extra.library)
+    report_written_file(args, copy, _next_step(copy) + (f"; it {extra}" if is_missing else ""))
     return 0
 
 
@@ -56,6 +55,7 @@ def _next_step(copy: Path) -> str:
     if copy.suffix == ".py":
         return f"run it with: python {copy}"
     if copy.suffix == ".ipynb":
-        return f"open it with: jupyter lab {copy}"
+        jupyter = "" if is_installed("jupyterlab") else " (pip install jupyterlab)"
+        return f"a notebook; open it with: jupyter lab {copy}{jupyter}, or in an editor that runs notebooks"
     page = next((p for p in ("README.md", "pyproject.toml") if (copy / p).exists()), None)
     return f"a folder; begin with {copy / page}" if page else "a folder"

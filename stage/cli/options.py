@@ -258,8 +258,17 @@ def add_panel_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_live_page_options(group: Any) -> None:
-    """Add the options that every live page has: --no-browser and --speed."""
-    group.add_argument("--no-browser", action="store_true", help="print the link instead of opening a browser")
+    """Add the options that every live page has: --no-window and --pace."""
+    add_no_window_option(group, "print the link instead of opening a browser", "--no-browser")
     group.add_argument(
-        "--speed", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)"
+        "--pace", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)"
+    )
+    group.add_argument("--speed", dest="pace", type=float, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+
+
+def add_no_window_option(group: Any, help_: str, former_name: str) -> None:
+    """Add --no-window, the same in every command that opens a window by itself. The former name works and is not listed."""
+    group.add_argument("--no-window", action="store_true", help=help_)
+    group.add_argument(
+        former_name, dest="no_window", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS
     )

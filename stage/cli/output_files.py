@@ -12,7 +12,7 @@ from typing import Any
 from stage.cli.commands import add_facts, report_written_file
 from stage.cli.terminal import show_status
 from stage.errors import ArgumentError
-from stage.support.extras import import_extra, is_installed
+from stage.support.extras import format_install_command, import_extra, is_installed
 
 FILE_OPTIONS = ("record", "vcd", "picture", "plot", "trace")
 """Options that name a file."""
@@ -109,13 +109,17 @@ def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = T
         The recording, or None.
     """
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
-    if usual and not (args.record or args.view or args.web or args.picture or is_installed("rerun")):
-        print(f"no {usual} is written: recordings need rerun. Install it with: pip install 'pulsestage[rerun]'")
-        usual = None
-    rrd: str | None = args.record or (usual and find_free_name(usual, args.force))
+    diagram = getattr(args, "default_picture", None) if is_installed("matplotlib") else None
+    rerun_missing = usual and not (args.record or args.view or args.web or args.picture or is_installed("rerun"))
+    missing_name, usual = usual, None if rerun_missing else usual
+    rrd: str | None = args.record or (usual and find_free_name(usual, args.force, diagram))
     check_outputs(argparse.Namespace(**vars(args) | {"record": rrd}))
+    if rerun_missing:
+        print(
+            f"no {missing_name} is written: recordings need rerun. Install it with: {format_install_command('rerun')}."
+        )
     stop = None
-    with stage.record() if rrd or args.vcd else nullcontext() as recording:
+    with stage.record() if rrd or args.vcd or diagram else nullcontext() as recording:
         try:
             yield recording
         except KeyboardInterrupt as error:
@@ -125,7 +129,7 @@ def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = T
         print(f"interrupted after {stage.time:.2f} s of simulated time{written}")
         _show_reports(args, getattr(stop, "reports", []), plot_reports)
     if recording is not None:
-        rrd = _write_recording(args, recording, usual)
+        rrd = _write_recording(args, recording, usual, diagram)
     if stop is not None:
         raise stop
     if args.web and rrd:
@@ -165,17 +169,23 @@ def _show_reports(args: argparse.Namespace, reports: list[Any], plot: bool) -> N
             draw_plot(args, reports[0].plot)
 
 
-def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None) -> str | None:
+def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None, diagram: str | None) -> str | None:
     """Write the files of a recording; return the name of the .rrd file, or None if there is none."""
     rrd = None
     if args.record or usual:
-        rrd = args.record or find_free_name(str(usual), args.force)  # another command may have taken the name meanwhile
+        # another command may have taken the name meanwhile
+        rrd = args.record or find_free_name(str(usual), args.force, diagram)
         show_status(f"writing {rrd} ...")
         recording.save(rrd, overwrite=args.force)
         size = Path(rrd).stat().st_size / 1e6
         report_written_file(
             args, rrd, f"{size:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}"
         )
+    if diagram:
+        diagram = str(Path(rrd).with_suffix(Path(diagram).suffix)) if rrd else find_free_name(diagram, args.force)
+        show_status(f"drawing {diagram} ...")
+        recording.plot(diagram, overwrite=args.force)
+        report_written_file(args, diagram, "the moves as a diagram: rates, positions, errors, switches")
     if args.vcd:
         show_status(f"writing {args.vcd} ...")
         recording.to_vcd(args.vcd, overwrite=args.force)
@@ -191,15 +201,18 @@ def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None
     return rrd
 
 
-def find_free_name(usual: str, force: bool) -> str:
+def find_free_name(usual: str, force: bool, sibling: str | None = None) -> str:
     """Return `usual`, or if such a file exists the same name with a number: demo.rrd, demo-2.rrd, ...
 
     Args:
         usual: Name of the file.
         force: Whether to return `usual` even if the file exists.
+        sibling: File that gets the same number, so that both names must be free; or None.
     """
-    names = (usual, *(f"{Path(usual).stem}-{n}{Path(usual).suffix}" for n in range(2, 10_000)))
-    return usual if force else next((name for name in names if not os.path.lexists(name)), usual)
+    endings = {Path(name).suffix for name in (usual, sibling) if name}
+    stems = (Path(usual).stem, *(f"{Path(usual).stem}-{n}" for n in range(2, 10_000)))
+    free = (stem for stem in stems if not any(os.path.lexists(stem + ending) for ending in endings))
+    return usual if force else next(free, Path(usual).stem) + Path(usual).suffix
 
 
 def draw_plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:

@@ -25,7 +25,7 @@ def add_subcommand(commands: Any) -> None:
         "Serve a page on which the stage moves in real time and each chip has a front panel: registers, commands, pins, the bus. "
         "Only this machine can reach it, unless --host says otherwise. Ctrl-C ends it.",
         ("stage panel xy", "a live stage in a browser"),
-        ("stage panel my.xml --chips mcx514 --no-browser", "your own axes; the link is printed"),
+        ("stage panel my.xml --chips mcx514 --no-window", "your own axes; the link is printed"),
         json=False,
     )  # fmt: skip
     add_model_argument(p)
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         args = argparse.Namespace(**vars(args) | shared.stage_options)
 
     over = threading.Event()
-    with on_end_signals(over.set), Session(make_stage(args), speed=args.speed, paused=True) as session:
+    with on_end_signals(over.set), Session(make_stage(args), speed=args.pace, paused=True) as session:
         stage_options = (
             {name: getattr(args, name) for name in saved_panel.STAGE_OPTIONS}
             if shared is None or shared.stage_options
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             saved_panel.restore_panel(panel, shared)
         session.paused = args.paused
         print(f"{panel.address}\nCtrl-C ends it", flush=True)
-        if not args.no_browser and not panel.show():
+        if not args.no_window and not panel.show():
             print("there is no browser here: open the link in one", flush=True)
         over.wait()
         panel.close()
@@ -103,7 +103,7 @@ def show_panel(args: argparse.Namespace, stage: Any, program: str) -> Iterator[S
         return
     from stage import panel as panels
 
-    with panels.open(stage, args.panel_port, speed=args.speed, program=program, browser=not args.no_browser) as panel:
+    with panels.open(stage, args.panel_port, speed=args.pace, program=program, browser=not args.no_window) as panel:
         print(f"{panel.address}\n{program} begins when a browser shows this page", flush=True)
         panel.wait_until_watched()
         yield panel.session

@@ -1,4 +1,4 @@
-"""Optional libraries, which the extras of pyproject.toml install: `pip install 'pulsestage[rerun]'`.
+"""Optional libraries, which the extras of pyproject.toml install: `pip install -e '.[rerun]'` in a checkout.
 
 Modules import such a library by `import_extra`, so that the error is the same everywhere and nothing is imported before its use.
 """
@@ -16,6 +16,14 @@ from typing import Any, NamedTuple
 
 from stage.errors import LoadError
 
+INSTALL_FORMAT = "pip install -e '.[{}]'"
+"""Command that installs extras of PulseStage, typed in a checkout; README and the pages use the same one."""
+
+
+def format_install_command(*extras: str) -> str:
+    """Return the command that installs extras, and where to type it, for messages: pip install -e '.[rerun]' in a checkout ..."""
+    return f"{INSTALL_FORMAT.format(','.join(extras))} in a checkout of PulseStage"
+
 
 class Extra(NamedTuple):
     """Title of an optional library, and the extra of pyproject.toml that installs it."""
@@ -32,6 +40,7 @@ LIBRARIES = {
     "pyarrow": Extra("pyarrow", "data"),
     "optuna": Extra("Optuna", "tune"),
     "scipy": Extra("scipy", "servo"),
+    "control": Extra("python-control", "servo"),
     "argcomplete": Extra("argcomplete", "completion"),
     "rerun_notebook": Extra("rerun's widget", "notebook"),
     "nicegui": Extra("NiceGUI", "panel"),
@@ -47,7 +56,7 @@ class ExtraMissing(LoadError):
     """Error: an optional library is needed and not installed.
 
     Attributes:
-        extra: Extra that installs the library, by pip install 'pulsestage[EXTRA]'.
+        extra: Extra that installs the library, see `format_install_command`.
     """
 
     def __init__(self, message: str, extra: str):
@@ -82,7 +91,7 @@ def import_extra(module: str, purpose: str, alternative: str = "") -> Any:
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == library:
             title, extra = LIBRARIES[library]
             raise ExtraMissing(
-                f"{purpose} needs {title}: pip install 'pulsestage[{extra}]'{alternative}.", extra
+                f"{purpose} needs {title}: {format_install_command(extra)}{alternative}.", extra
             ) from error
         raise LoadError(f"{purpose}: {module} is installed and cannot be loaded: {error}.") from error
 
