@@ -176,7 +176,7 @@ def main() -> int:
         parser.error(f"{args.target} has no compiled run of its own")
     runs = [args.run] if args.run else ["guided", "compiled"] if both else ["guided"]
     if (args.keep or "guided" in runs) and find_spec("atheris") is None:
-        print("guided fuzzing skipped: atheris is not installed; pip install 'pulsestage[fuzz]' (Linux, macOS)")
+        print("guided fuzzing skipped: atheris is not installed; pip install -e '.[fuzz]' (Linux, macOS)")
         runs = [] if args.keep else [run for run in runs if run != "guided"]
     elif args.keep:
         return keep_inputs(args.target)

@@ -41,7 +41,8 @@ _LAZY = {
 }
 _METHODS_OF_STAGE = {"record": "stage.recording:Recording", "panel": "stage.panel:open"}
 """Conveniences of `Stage` that packages above stage.sim provide: method -> what is called with the stage and its arguments."""
-_MODULES = {"faults": "stage.sim.faults", "firmware": "stage.firmware"}
+_PACKAGES = "agents board chips drives envs errors firmware recording study testing units".split()
+_MODULES = {"faults": "stage.sim.faults"} | {name: f"stage.{name}" for name in _PACKAGES}
 
 __all__ = [
     "ArgumentError", "Drive", "ExtraMissing", "Fleet", "LoadError", "ModelError", "Motor", "NativeError", "Program", "RunTimeout",

@@ -116,7 +116,7 @@ def test_without_the_extra_the_error_says_what_to_install(stage, library, monkey
         if library == "mujoco_warp":
             monkeypatch.setitem(sys.modules, "warp", type(sys)("warp"))
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(extras.ExtraMissing, match=r"pip install 'pulsestage\[gpu\]'"):
+    with pytest.raises(extras.ExtraMissing, match=r"pip install -e '\.\[gpu\]'"):
         Fleet([stage], device="cuda", copies=2)
 
 

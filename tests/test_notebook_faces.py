@@ -92,5 +92,5 @@ def test_without_matplotlib_the_page_says_what_the_picture_needs(displayed_objec
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     html = displayed_objects["recording"]._repr_html_()
-    assert "drawing needs matplotlib: pip install &#x27;pulsestage[plot]&#x27;." in html
+    assert "drawing needs matplotlib: pip install -e &#x27;.[plot]&#x27; in a checkout of PulseStage." in html
     assert "samples of x, y" in html

@@ -29,7 +29,7 @@ def test_a_notebook_has_no_stored_outputs_and_each_cell_has_its_id(path):
 @pytest.mark.slow
 @each
 def test_a_notebook_runs_and_shows_its_pictures(path, tmp_path):
-    client = pytest.importorskip("nbclient", reason="no nbclient: pip install 'pulsestage[notebook]'")
+    client = pytest.importorskip("nbclient", reason="no nbclient: pip install -e '.[notebook]'")
     nbformat = pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel")
     if path.stem == "firmware" and not shutil.which("cc"):

@@ -24,9 +24,17 @@ firmware.preset_move(stage.axes["x"], 8000).plot("move.png")
 """
 
 
+ALIAS = """
+import pulsestage
+
+error: pulsestage.ArgumentError = pulsestage.errors.ArgumentError("text")
+axis: pulsestage.Stage = pulsestage.Stage("xy").axes["x"]  # type: ignore[assignment]
+"""
+
+
 @pytest.mark.parametrize("library", ["mujoco", "rerun-sdk"])
 def test_libraries_with_private_parts_in_use_have_an_upper_version_bound(library):
-    # pip install pulsestage, the day after rerun-sdk 0.42 comes out
+    # an installation on the day after rerun-sdk 0.42 comes out
     every = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["rerun"]]
     (needed,) = (need for need in every if re.match(rf"{library}\b", need))
     assert re.search(r">=[\d.]+,<[\d.]+", needed)
@@ -70,7 +78,7 @@ def test_the_libraries_for_reinforcement_learning_are_installed_every_night_and_
 
 
 def test_the_wheel_contains_every_file_of_the_packages():
-    # pip install pulsestage; stage run sketch.ino: Arduino.h was not there
+    # a fresh installation; stage run sketch.ino: Arduino.h was not there
     assert PACKAGES["packages"]["find"]["include"] == ["stage", "stage.*"]
     package_folders = {file.parent.relative_to(ROOT) for file in (ROOT / "stage").rglob("__init__.py")}
     folders = {".".join(folder.parts): ROOT / folder for folder in package_folders}
@@ -89,7 +97,7 @@ def test_the_wheel_contains_every_file_of_the_packages():
 
 @pytest.mark.slow
 def test_a_program_of_the_readme_passes_mypy_against_the_wheel(tmp_path):
-    # pip install pulsestage mypy; mypy program.py, with firmware.preset_move(stage.axes["x"], 8000)
+    # an installation with mypy; mypy program.py, with firmware.preset_move(stage.axes["x"], 8000)
     pytest.importorskip("mypy")
     tree = tmp_path / "tree"
     for folder in ("stage", "envs", "models"):
@@ -103,11 +111,19 @@ def test_a_program_of_the_readme_passes_mypy_against_the_wheel(tmp_path):
     site = Path(sysconfig.get_path("purelib", "venv", {"base": str(tmp_path / "venv")}))
     subprocess.run([*pip, "install", "--no-deps", "--target", str(site), str(wheel)], check=True)
     (site / "others.pth").write_text(sysconfig.get_path("purelib"))  # numpy and what else it needs
-    texts = [MOVE, *re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)]
+    texts = [MOVE, ALIAS, *re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)]
     programs = [tmp_path / f"program_{k}.py" for k in range(len(texts))]
     for program, text in zip(programs, texts, strict=True):
         program.write_text(text)
     python = tmp_path / "venv" / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-    command = [sys.executable, "-m", "mypy", f"--python-executable={python}", "--cache-dir", str(tmp_path / "mypy")]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--warn-unused-ignores",
+        f"--python-executable={python}",
+        "--cache-dir",
+        str(tmp_path / "mypy"),
+    ]
     done = subprocess.run([*command, *map(str, programs)], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -47,7 +47,7 @@ class BaselineEnv(MujocoEnv):
 def measure(run: Run) -> Iterator[Figure]:
     """Yield the figures of this subject."""
     if importlib.util.find_spec("imageio") is None:
-        print("    left out: gymnasium's MujocoEnv needs imageio; pip install '.[bench]'")
+        print("    left out: gymnasium's MujocoEnv needs imageio; pip install -e '.[bench]'")
         return
     moving, bare = make_moving_stage(visuals=False), BareModel(make_moving_stage())
     start = moving.snapshot()

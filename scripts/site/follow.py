@@ -3,7 +3,7 @@
     python scripts/site/follow.py [PAGE ...]         default: all of docs/tutorials
 
 A wheel is built of this checkout. For each page a fresh environment gets what the page says to install, with the wheel in the place
-of the package index; then in an empty folder its files are written, its commands typed, its Python run in one interpreter; what is
+of the checkout; then in an empty folder its files are written, its commands typed, its Python run in one interpreter; what is
 printed is compared. Prints how long each took; exit code 1 if a page is wrong.
 """
 
@@ -46,9 +46,9 @@ class TutorialReader:
         self.page, self.bin, self.folder = page, home / "venv" / "bin", home / "work"
         self.folder.mkdir()
         subprocess.run([sys.executable, "-m", "venv", str(home / "venv")], check=True)
-        wanted = re.search(r"pip install ((?:'[^']*'|[\w\[\],.-]+)(?: [\w\[\],.-]+)*)", page.read_text())
-        what = shlex.split(wanted[1]) if wanted else ["pulsestage"]
-        args = [re.sub(r"^pulsestage(\[.*\])?$", lambda m: f"pulsestage{m[1] or ''} @ file://{wheel}", w) for w in what]
+        wanted = re.search(r"pip install -e ((?:'[^']*'|\.)(?: [\w-]+)*)", page.read_text())
+        what = shlex.split(wanted[1]) if wanted else ["."]
+        args = [re.sub(r"^\.(\[.*\])?$", lambda m: f"pulsestage{m[1] or ''} @ file://{wheel}", w) for w in what]
         begin = time.perf_counter()
         self.run_command([str(self.bin / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", *args])
         self.installing, self.first, self.slowest = time.perf_counter() - begin, 0.0, 0.0

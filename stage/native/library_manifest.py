@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import NativeError
+from stage.support.extras import format_install_command
 
 NAME = "_native.so"
 MARK = b"\0PULSESTAGE NATIVE LIBRARY "
@@ -149,8 +150,8 @@ def compute_source_digest() -> str:
 def advise_install(package: str) -> str:
     """Return the advice how to install the library of a package, for an error."""
     if package == "stage":
-        return "Install PulseStage again (pip install --force-reinstall --no-deps pulsestage; in a checkout: pip install -e .)."
-    return f"Build it: pip install 'pulsestage[build]', then python -m stage.native {package}"
+        return "Install PulseStage again: pip install -e . in a checkout, or pip install --force-reinstall --no-deps and its wheel."
+    return f"Build it: {format_install_command('build')}, then python -m stage.native {package}"
 
 
 def describe_target() -> str:

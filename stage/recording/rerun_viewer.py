@@ -348,7 +348,7 @@ def find_free_port() -> int:
 
 
 def build_widget(recording: Recording) -> dict[str, Any]:
-    """Return the dashboard of a recording as a Jupyter widget, by MIME type: pip install 'pulsestage[notebook]'.
+    """Return the dashboard of a recording as a Jupyter widget, by MIME type (extra `notebook`).
 
     The result is empty if rerun's widget is not installed or the recording is too long for a browser.
     """

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stage.errors import unknown_name_error
+from stage.support.extras import format_install_command
 from stage.support.files import FileError
 
 
@@ -25,7 +26,7 @@ class Requirement(NamedTuple):
     why: str = ""
 
     def __str__(self) -> str:
-        return f"needs{f' {self.why}' if self.why else ''}: pip install 'pulsestage[{self.extra}]'"
+        return f"needs{f' {self.why}' if self.why else ''}: {format_install_command(*self.extra.split(','))}"
 
 
 REPOSITORY = Path(__file__).resolve().parents[2]

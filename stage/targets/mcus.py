@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from functools import cache
 
 from stage.errors import ArgumentError, StageError
+from stage.support.extras import format_install_command
 
 AVRS = (
     "at90usb162 atmega128 atmega1280 atmega1281 atmega1284 atmega1284p atmega128rfa1 atmega128rfr2 atmega16 atmega164 atmega164p "
@@ -20,8 +21,8 @@ AVRS = (
 CORTEX = ("cortex-m0", "cortex-m3", "cortex-m4")
 X86 = ("8086",)
 SIMAVR = "simavr (Debian: apt install libsimavr2)"
-PYELFTOOLS = "pyelftools (pip install 'pulsestage[targets]')"
-UNICORN = "Unicorn (pip install 'pulsestage[targets]')"
+PYELFTOOLS = f"pyelftools ({format_install_command('targets')})"
+UNICORN = f"Unicorn ({format_install_command('targets')})"
 _SIMAVR_FILES = ("libsimavr.so.2", "libsimavr.so.1", "libsimavr.so", "libsimavr.dylib")
 
 

@@ -187,7 +187,7 @@ def test_old_code_never_runs_where_nothing_can_be_built(toy):
     assert done.stdout == ""
     last = done.stderr.strip().splitlines()[-1]
     assert "was built from other sources: toy.constants has changed" in last
-    assert "pip install 'pulsestage[build]', then python -m stage.native toy" in last
+    assert "pip install -e '.[build]' in a checkout of PulseStage, then python -m stage.native toy" in last
 
 
 @pytest.mark.parametrize("project", ["pyproject.toml", None], ids=["beside", "elsewhere, as of src/toy"])

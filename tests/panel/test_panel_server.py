@@ -189,7 +189,7 @@ def test_a_port_in_use_is_reported(refused):
 
 def test_a_missing_library_is_named(refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "nicegui", None)
-    assert "pip install 'pulsestage[panel]'" in refused("--port", "0")
+    assert "pip install -e '.[panel]'" in refused("--port", "0")
 
 
 def test_a_file_that_is_none(refused, tmp_path):

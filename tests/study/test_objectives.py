@@ -6,7 +6,7 @@ import sys
 import pytest
 from support.mirrored import mirrored
 
-pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
+pytest.importorskip("optuna", reason="Optuna is not installed: pip install -e '.[tune]'")
 
 import optuna
 
@@ -49,7 +49,7 @@ open_study(move, "study")
 """
     completed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert completed.stdout == f"{MOVE.measure(GENTLE, 1)}\n"
-    assert "ExtraMissing: a study needs Optuna: pip install 'pulsestage[tune]'" in completed.stderr
+    assert "ExtraMissing: a study needs Optuna: pip install -e '.[tune]'" in completed.stderr
 
 
 def test_the_defaults_of_preset_moves_are_those_of_the_page_about_studies():

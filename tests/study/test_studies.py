@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from support.examples import SEED
 
-pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
+pytest.importorskip("optuna", reason="Optuna is not installed: pip install -e '.[tune]'")
 
 import optuna
 
@@ -342,7 +342,7 @@ def test_the_error_of_an_invalid_command_says_what_to_do_and_no_study_is_made(op
 @pytest.mark.slow
 def test_the_documented_program_for_ray_runs(tmp_path):
     """python on_ray.py"""
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'pulsestage[cluster]'")
+    pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[cluster]'")
     program = re.search(r"```python\n(# on_ray\.py\n.*?)```", (ROOT / "docs" / "sweep.md").read_text(), re.S)[1]
     (tmp_path / "on_ray.py").write_text(program)
     completed = subprocess.run([sys.executable, "on_ray.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)

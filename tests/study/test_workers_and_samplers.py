@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
+pytest.importorskip("optuna", reason="Optuna is not installed: pip install -e '.[tune]'")
 
 import optuna
 

@@ -4,4 +4,4 @@ import pytest
 
 from stage.support.extras import is_installed
 
-needs_rerun = pytest.mark.skipif(not is_installed("rerun"), reason="no rerun here: pip install 'pulsestage[rerun]'")
+needs_rerun = pytest.mark.skipif(not is_installed("rerun"), reason="no rerun here: pip install -e '.[rerun]'")

@@ -188,7 +188,7 @@ def test_a_map_that_a_pc_does_not_have_is_refused():
 
 def test_without_unicorn_the_error_names_the_package(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(NoEmulatorError, match=r"pip install 'pulsestage\[targets\]'"):
+    with pytest.raises(NoEmulatorError, match=r"pip install -e '\.\[targets\]'"):
         faults(0)
 
 

@@ -511,7 +511,10 @@ def test_an_interrupted_search_prints_its_result_and_exits_with_130(result, caps
 def test_the_error_without_optuna_names_the_extra_and_the_alternative(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "optuna", None)
     assert main(["tune", "xy", "--distance", "5mm"]) == 2
-    assert "pip install 'pulsestage[tune]'; or leave it at the formula: --by formula." in capsys.readouterr().err
+    assert (
+        "pip install -e '.[tune]' in a checkout of PulseStage; or leave it at the formula: --by formula."
+        in capsys.readouterr().err
+    )
 
 
 def test_invalid_arguments_of_tune_are_refused(task):

@@ -61,5 +61,5 @@ def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_res
 
 def test_without_python_control_the_baseline_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(StageError, match=r"pip install 'pulsestage\[servo\]'"):
+    with pytest.raises(StageError, match=r"pip install -e '\.\[servo\]'"):
         servo_formula.import_control()

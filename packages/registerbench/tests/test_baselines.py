@@ -22,7 +22,7 @@ SEARCHES = ("search_randomly", *EXTRAS)
 
 def load_search(name):
     for extra in EXTRAS.get(name, ()):
-        pytest.importorskip(extra, reason=f"{name} needs {extra}: pip install 'pulsestage[rl]'")
+        pytest.importorskip(extra, reason=f"{name} needs {extra}: pip install -e '.[rl]'")
     module = "sb3_searches" if "stable_baselines3" in EXTRAS.get(name, ()) else "searches"
     return getattr(importlib.import_module(f"registerbench.baselines.{module}"), name)
 
@@ -226,7 +226,7 @@ def test_a_baseline_accepts_a_model_and_a_margin():
 
 
 def test_stable_baselines3_accepts_the_vector_environment():
-    pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: pip install 'pulsestage[rl]'")
+    pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: pip install -e '.[rl]'")
     from registerbench.baselines.sb3_searches import SCALE, WORST, MovesVecEnv
 
     with MoveTuning(0.5, 6, distance=2000, lanes=4) as moves:

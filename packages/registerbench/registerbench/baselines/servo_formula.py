@@ -23,18 +23,15 @@ from stage.errors import StageError
 from stage.firmware.hctl1100 import servo_loop_model
 from stage.firmware.hctl1100.moves import FilterTuning
 from stage.firmware.hctl1100.servo_loop_model import DEFAULT_POLE, MAX_RATTLE, PHASE_MARGIN_DEGREES, ServoLoop
+from stage.support.extras import import_extra
 
 TIMER = 0x40  # sample timer after a reset
 MAX_MARGIN_LOSS_DEGREES = 3.0  # by which a rounded gain may reduce the phase margin
 
 
 def import_control() -> Any:
-    """Import python-control. Raises StageError if it is not installed."""
-    try:
-        import control
-    except ImportError as error:
-        raise StageError("This baseline needs python-control: pip install 'pulsestage[servo]'.") from error
-    return control
+    """Import python-control. Raises ExtraMissing if it is not installed."""
+    return import_extra("control", "this baseline")
 
 
 class LoopDesign(NamedTuple):
