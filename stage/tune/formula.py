@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -33,7 +33,18 @@ from stage.support import portable_math
 SAFETY_FACTOR = 1.5
 START_RATE_RATIO = 0.125  # start rate (FL) as a fraction of the pull-in rate
 MIN_RAMP_SWINGS = 4
+MIN_RAMP_S = 1e-3
+CONSTANT_RATE_RATIO = (
+    1.05  # drive rate of a move without ramps to its start rate: chips compute ramps from their difference
+)
 MAX_ROTOR_SPEED_RAD_S = 1_256.637  # 12,000 rpm, above any supported motor
+
+
+class FormulaChoice(NamedTuple):
+    """Parameters that make the formula's move more careful; see `compute_speeds`."""
+
+    safety_factor: float = SAFETY_FACTOR
+    rate_ratio: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -124,13 +135,17 @@ def measure_unloaded_pull_in(drive: Drive) -> float:
     return find_pull_in_rate(drive, drive.motor.rotor_inertia)
 
 
-def compute_speeds(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR) -> Speeds:
+def compute_speeds(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR, rate_ratio: float = 1.0) -> Speeds:
     """Compute the fastest move that uses at most 1 / safety_factor of the available thrust.
+
+    A stepper's move that is too short for ramps runs at the start rate.
 
     Args:
         load: Load of the drive.
         pulses: Distance.
         safety_factor: Ratio of the available thrust to the thrust used.
+        rate_ratio: Ratio of all rates to those of the fastest move, whose ramps it lengthens by its inverse. Where gravity leaves
+            too little thrust for a larger safety factor, a slower move needs less.
 
     Returns:
         Start rate, drive rate and ramps.
@@ -153,15 +168,19 @@ def compute_speeds(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR
         )
         ramp_distance = (top**2 - start**2) / 2 * (1 / acceleration + 1 / deceleration)
         duration = (top - start) * (1 / acceleration + 1 / deceleration) + (distance - ramp_distance) / top
-    feasible = (acceleration > 0) & (deceleration > 0) & (ramp_distance <= distance)
+    is_strong = (acceleration > 0) & (deceleration > 0)
+    feasible = is_strong & (ramp_distance <= distance)
+    drive_pps, start_pps = top * load.pulses_per_metre, start * load.pulses_per_metre
+    if not feasible.any() and load.is_stepper and is_strong[0]:
+        start_pps *= rate_ratio
+        return Speeds(float(start_pps), float(start_pps * CONSTANT_RATE_RATIO), MIN_RAMP_S, MIN_RAMP_S)
     if not feasible.any():
         raise ArgumentError(
             f"{pulses} pulses with a safety factor of {safety_factor}: too short a move, or too weak a motor."
         )
     k = int(np.argmin(np.where(feasible, duration, np.inf)))
-    drive_pps, start_pps = top[k] * load.pulses_per_metre, start * load.pulses_per_metre
     up, down = float((top[k] - start) / acceleration[k]), float((top[k] - start) / deceleration[k])
-    return Speeds(float(start_pps), float(drive_pps), up, down)
+    return Speeds(float(start_pps * rate_ratio), float(drive_pps[k] * rate_ratio), up / rate_ratio, down / rate_ratio)
 
 
 def plan_profile(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR) -> Profile:

@@ -18,7 +18,7 @@ from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, get_driver
 from stage.sim.program import Operations
 from stage.support import portable_math
-from stage.tune.formula import SAFETY_FACTOR, Load, compute_speeds
+from stage.tune.formula import MIN_RAMP_S, SAFETY_FACTOR, Load, compute_speeds
 from stage.tune.machine_tolerances import Machine
 from stage.tune.task import Task, is_moved_by_joint
 
@@ -27,7 +27,6 @@ MAX_SPEED_FACTORS = {"start": 3.0, "drive": 1.5, "up": 1.7, "down": 1.7}
 MAX_FILTER_FACTOR = 4.0  # the same for servo gains and sample times
 MAX_RAMP_EXTENSIONS = 40  # number of 10 % extensions of the ramps until they fit the chip's registers
 ZERO_BASED_RANGE_FRACTION = 0.25  # search range to either side of a filter value that may be 0, in parts of its range
-MIN_RAMP_S = 1e-3
 
 
 class MovePlan(NamedTuple):
@@ -74,12 +73,12 @@ class MovePlanner(ABC):
         friction = machine.friction * (load.friction + load.damping * top)
         return float((load.compute_max_thrust(top) - friction)[0])
 
-    def compute_speeds(self, safety_factor: float, payload: float | None = None) -> Speeds:
+    def compute_speeds(self, safety_factor: float, rate_ratio: float = 1.0) -> Speeds:
         """Compute the speeds of the data sheet formula.
 
         Args:
             safety_factor: Ratio of the available thrust to the thrust used.
-            payload: Payload in kg; default: that of the task.
+            rate_ratio: Ratio of all rates to those of the fastest move.
 
         Returns:
             Rates and ramps of the fastest move.
@@ -87,9 +86,9 @@ class MovePlanner(ABC):
         Raises:
             ArgumentError: The drive cannot move the payload. The message names the largest payload that it can move.
         """
-        kg = self.task.payload if payload is None else payload
+        kg = self.task.payload
         try:
-            return compute_speeds(self.build_load(kg), self.task.pulses, safety_factor)
+            return compute_speeds(self.build_load(kg), self.task.pulses, safety_factor, rate_ratio)
         except ArgumentError as error:
             hint = self._describe_max_payload(safety_factor) if kg else "Another motor, supply or distance."
             raise ArgumentError(f"{kg:g} kg on axis {self.task.axis}: {error} {hint}") from None
@@ -136,9 +135,9 @@ class MovePlanner(ABC):
             pulses: Signed distance.
         """
 
-    def build_formula_plan(self, safety_factor: float = SAFETY_FACTOR) -> MovePlan:
-        """Build the plan of the data sheet formula."""
-        return self.build_plan(self.compute_speeds(safety_factor), {}, "linear")
+    def build_formula_plan(self, safety_factor: float = SAFETY_FACTOR, rate_ratio: float = 1.0) -> MovePlan:
+        """Build the plan of the data sheet formula; see `compute_speeds`."""
+        return self.build_plan(self.compute_speeds(safety_factor, rate_ratio), {}, "linear")
 
     def find_parameters(self, center: Speeds, target: Speeds) -> dict[str, float]:
         """Return the parameters that lead from one set of speeds to another, clipped to the search range.
@@ -181,9 +180,9 @@ class StepperPlanner(MovePlanner):
         ramps = ("up",) if self.has_single_ramp else ("up", "down")
         self.parameter_names = ("start", "drive", *ramps, *self.trim_factors)
 
-    def compute_speeds(self, safety_factor: float, payload: float | None = None) -> Speeds:
+    def compute_speeds(self, safety_factor: float, rate_ratio: float = 1.0) -> Speeds:
         """Compute the speeds of the formula, with ramps long enough for the chip's registers. See `MovePlanner`."""
-        target = speeds = super().compute_speeds(safety_factor, payload)
+        target = speeds = super().compute_speeds(safety_factor, rate_ratio)
         for _ in range(MAX_RAMP_EXTENSIONS):
             try:
                 self.build_plan(speeds, {}, "linear")
@@ -253,9 +252,9 @@ class ServoPlanner(MovePlanner):
             self._filter = get_driver(stage.axes[self.task.axis]).compute_filter()
         return self._filter
 
-    def compute_speeds(self, safety_factor: float, payload: float | None = None) -> Speeds:
+    def compute_speeds(self, safety_factor: float, rate_ratio: float = 1.0) -> Speeds:
         """Compute the speeds of the formula, with the longer of both ramps. See `MovePlanner`."""
-        speeds = super().compute_speeds(safety_factor, payload)
+        speeds = super().compute_speeds(safety_factor, rate_ratio)
         ramp = max(speeds.up, speeds.down)
         return speeds._replace(up=ramp, down=ramp)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.support.extras import import_extra
-from stage.tune.formula import SAFETY_FACTOR
+from stage.tune.formula import FormulaChoice
 from stage.tune.move_runner import MoveRunner
 from stage.tune.planners import MovePlan, MovePlanner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
@@ -71,7 +71,7 @@ def search_registers(
     time_limit: float,
     trials: int,
     seed: int,
-    safety_factor: float = SAFETY_FACTOR,
+    choice: FormulaChoice = FormulaChoice(),  # noqa: B008 (immutable)
     on_progress: Callable[[int, Trial | None], None] = lambda done, best: None,
 ) -> tuple[list[Trial], bool]:
     """Search for the plan with the shortest arrival time of which no move fails.
@@ -83,7 +83,7 @@ def search_registers(
         time_limit: Observed time of a move, s. It shrinks as the best trial gets faster.
         trials: Number of trials.
         seed: Seed of the sampler.
-        safety_factor: Safety factor of the formula's plan at the center of the search.
+        choice: Choice of the formula's plan at the center of the search.
         on_progress: Called after each batch with the number of trials and the best trial so far.
 
     Returns:
@@ -91,12 +91,12 @@ def search_registers(
     """
     study = _create_study(seed)
     planner: MovePlanner = runner.planner
-    center = planner.compute_speeds(safety_factor)
+    center = planner.compute_speeds(*choice)
     study.enqueue_trial({})
     for shape in planner.ramp_shapes:
         study.enqueue_trial(_build_trial_parameters(planner, {}, shape))
         for ratio in INITIAL_SAFETY_RATIOS:
-            faster = planner.compute_speeds(safety_factor * ratio)
+            faster = planner.compute_speeds(choice.safety_factor * ratio, choice.rate_ratio)
             study.enqueue_trial(_build_trial_parameters(planner, planner.find_parameters(center, faster), shape))
     finished: list[Trial] = []
     best_time = float("inf")

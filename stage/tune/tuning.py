@@ -11,7 +11,7 @@ import numpy as np
 
 from stage.errors import ArgumentError, StageError
 from stage.support.argument_checks import check_integer, explain_arguments
-from stage.tune.formula import SAFETY_FACTOR
+from stage.tune.formula import SAFETY_FACTOR, FormulaChoice
 from stage.tune.machine_tolerances import Machine, draw_machines
 from stage.tune.move_runner import MoveRunner
 from stage.tune.planners import MovePlan, MovePlanner, create_planner
@@ -24,6 +24,13 @@ from stage.tune.task import MoveCase, Task
 
 METHODS = ("search", "formula")
 SAFETY_MULTIPLIERS = (1.0, 1.15, 1.3, 1.5, 2.0, 3.0)  # raise the safety factor until the formula keeps step
+RATE_RATIOS = (
+    0.7,
+    0.5,
+    0.35,
+    0.2,
+    0.1,
+)  # then slow the move down: gravity may leave no thrust for a larger factor
 CANDIDATES_PER_ROUND = 8  # search results that are tested together with unseen moves
 MAX_CANDIDATE_ROUNDS = 3
 MAX_HARD_CASES = 6  # cases in which most of the failed trials failed: the others must pass them
@@ -79,11 +86,11 @@ def tune(
     cases = _draw_cases(planner, seed, moves)
     with MoveRunner(task, planner, workers) as runner:
         on_progress("the formula", 0.0, None)
-        safety_factor, time_limit, formula_answer = _prove_formula(runner, planner, cases)
+        choice, time_limit, formula_answer = _prove_formula(runner, planner, cases)
         answers, ranked, rejected, interrupted = [formula_answer], list[Trial](), 0, False
         if by == "search":
             ranked, interrupted = search_registers(
-                runner, cases.search, cases.leading, time_limit, trials, seed, safety_factor,
+                runner, cases.search, cases.leading, time_limit, trials, seed, choice,
                 lambda done, best: on_progress(
                     "searching",
                     min(done / trials, 1.0),
@@ -105,9 +112,19 @@ def tune(
         selected = "search" if best_answer is not None and _is_faster(*answers) else "formula"
         on_progress("the proof", 1.0, None)
         return TuningResult(
-            task, planner, tuple(answers), selected, safety_factor, by, len(ranked), interrupted, rejected, seed,
+            task, planner, tuple(answers), selected, choice.safety_factor, by, len(ranked), interrupted, rejected, seed,
             runner.move_count, tuple(cases.proof),
         )  # fmt: skip
+
+
+FORMULA_CHOICES = (
+    *(FormulaChoice(SAFETY_FACTOR * multiplier, 1.0) for multiplier in SAFETY_MULTIPLIERS),
+    *(FormulaChoice(SAFETY_FACTOR, ratio) for ratio in RATE_RATIOS),
+)
+"""Choices in the order in which they are tried, the fastest first."""
+TRIED_TEXT = (
+    f"even with a safety factor of {SAFETY_FACTOR * SAFETY_MULTIPLIERS[-1]:g}, or at {RATE_RATIOS[-1]:g} of the rates"
+)
 
 
 class ProofCases(NamedTuple):
@@ -149,21 +166,21 @@ def _draw_cases(planner: MovePlanner, seed: int, moves: int) -> ProofCases:
     )
 
 
-def _prove_formula(runner: MoveRunner, planner: MovePlanner, cases: ProofCases) -> tuple[float, float, Answer]:
-    """Raise the formula's safety factor until its registers pass the proof.
+def _prove_formula(runner: MoveRunner, planner: MovePlanner, cases: ProofCases) -> tuple[FormulaChoice, float, Answer]:
+    """Make the formula's plan more careful until its registers pass the proof.
 
     Returns:
-        Safety factor, time limit of the moves in s, and the answer, which is not proved if no factor suffices.
+        Choice, time limit of the moves in s, and the answer, which is not proved if no choice suffices.
     """
     tested, proved = list(cases.formula), None
     while True:
         try:
-            safety_factor, plan, time_limit = _find_formula_plan(runner, planner, tested)
+            choice, plan, time_limit = _find_formula_plan(runner, planner, tested)
         except StageError:
             if proved is None:
                 raise
             return proved
-        proved = safety_factor, time_limit, _prove_answer(runner, "formula", plan, cases, time_limit)
+        proved = choice, time_limit, _prove_answer(runner, "formula", plan, cases, time_limit)
         failed = [cases.proof[k] for k in proved[2].proof.failed]
         if not set(failed) - set(tested):
             return proved
@@ -222,8 +239,8 @@ def _estimate_time_limit(task: Task, plan: MovePlan) -> float:
     return 2.0 * (task.pulses / speeds.drive + speeds.up + speeds.down) + 0.3 + task.hold
 
 
-def _find_formula_plan(runner: MoveRunner, planner: MovePlanner, cases: Any) -> tuple[float, MovePlan, float]:
-    """Find the lowest safety factor with which the formula's plan passes all cases.
+def _find_formula_plan(runner: MoveRunner, planner: MovePlanner, cases: Any) -> tuple[FormulaChoice, MovePlan, float]:
+    """Find the first of FORMULA_CHOICES with which the formula's plan passes all cases.
 
     Args:
         runner: Runner of the task.
@@ -231,47 +248,45 @@ def _find_formula_plan(runner: MoveRunner, planner: MovePlanner, cases: Any) -> 
         cases: Cases to pass.
 
     Returns:
-        Safety factor, plan, and time limit of its moves in s.
+        Choice, plan, and time limit of its moves in s.
 
     Raises:
         ArgumentError: The motor is too weak for the formula.
-        StageError: The moves lose steps, do not settle, or overshoot with every safety factor.
+        StageError: The moves lose steps, do not settle, or overshoot with every choice.
     """
     task = runner.task
     within_payload: Any = task.is_within_payload(cases)
-    formula_error: Exception | None = None
-    for multiplier in SAFETY_MULTIPLIERS:
+    outcomes: Any = None
+    for choice in FORMULA_CHOICES:
         try:
-            plan = planner.build_formula_plan(SAFETY_FACTOR * multiplier)
-        except ArgumentError as error:
-            formula_error = error
-            break
+            plan = planner.build_formula_plan(*choice)
+        except ArgumentError:
+            if outcomes is None:
+                raise
+            continue
         time_limit = _estimate_time_limit(task, plan)
         for factor in SETTLING_TIME_FACTORS:
             outcomes = runner.run_moves([plan], cases, factor * time_limit)
             if outcomes.is_good(task, within_payload).all():
                 max_time = float(np.max(outcomes.arrival_times[0, within_payload]))
-                return SAFETY_FACTOR * multiplier, plan, compute_time_limit(max_time, task.hold)
+                return choice, plan, compute_time_limit(max_time, task.hold)
             if not outcomes.kept_step.all():
                 break
-    if formula_error is not None and multiplier == SAFETY_MULTIPLIERS[0]:
-        raise formula_error
-    limit_text = f"even with a safety factor of {SAFETY_FACTOR * multiplier:g}"
     if not outcomes.kept_step.all():
         raise StageError(
-            f"axis {task.axis} with up to {task.max_payload:g} kg: the formula's registers lose steps, {limit_text}. "
+            f"axis {task.axis} with up to {task.max_payload:g} kg: the formula's registers lose steps, {TRIED_TEXT}. "
             f"{_describe_largest_payload(runner, planner, cases)}"
         )
     if np.isnan(outcomes.arrival_times[0, within_payload]).any():
         tolerance = task.format_length(task.tolerance or 0.0)
         raise StageError(
             f"axis {task.axis}: the formula's moves keep step, but do not come to rest within {tolerance} of the goal in "
-            f"{SETTLING_TIME_FACTORS[-1] * time_limit:.2g} s, {limit_text}: give more room, --settle (tolerance=, hold=)."
+            f"{SETTLING_TIME_FACTORS[-1] * time_limit:.2g} s, {TRIED_TEXT}: give more room, --settle (tolerance=, hold=)."
         )
     overshoot = round(float(outcomes.overshoots[0, within_payload].max()), 7)
     raise StageError(
         f"axis {task.axis}: the formula's moves keep step, but go {task.format_length(overshoot)} beyond the goal, "
-        f"{limit_text}: allow more, --overshoot (overshoot=)."
+        f"{TRIED_TEXT}: allow more, --overshoot (overshoot=)."
     )
 
 

@@ -51,8 +51,42 @@ def test_both_ramps_of_a_short_move_fit_into_it(load, pulses):
     ramps = 0.5 * (speeds.start + speeds.drive) * (speeds.up + speeds.down)
     assert ramps <= pulses * (1 + 1e-9)
     assert ramps > 0.8 * pulses, "the ramps fill most of the move"
-    with pytest.raises(ArgumentError, match=r"1 pulses with a safety factor of 1\.5: too short a move"):
-        compute_speeds(load, 1)
+
+
+@pytest.mark.parametrize("pulses", [1, 32])
+def test_a_move_too_short_for_ramps_runs_at_the_start_rate(load, pulses):
+    speeds, long = compute_speeds(load, pulses), compute_speeds(load, 40_000)
+    assert speeds.start == long.start
+    assert speeds.start < speeds.drive < 1.1 * speeds.start
+
+
+@pytest.mark.parametrize("pulses", [1, 4000])
+def test_a_motor_too_weak_for_its_load_is_refused_at_any_distance(load, pulses):
+    with pytest.raises(
+        ArgumentError, match=rf"{pulses} pulses with a safety factor of 1000: too short a move, or too weak a motor"
+    ):
+        compute_speeds(load, pulses, safety_factor=1000)
+
+
+@pytest.mark.parametrize("ratio", [0.7, 0.2])
+@pytest.mark.parametrize("pulses", [40_000, 1000])
+def test_a_slower_plan_is_the_fastest_one_in_slow_motion(load, pulses, ratio):
+    fastest, slower = compute_speeds(load, pulses), compute_speeds(load, pulses, rate_ratio=ratio)
+    expected = fastest.start * ratio, fastest.drive * ratio, fastest.up / ratio, fastest.down / ratio
+    assert (slower.start, slower.drive, slower.up, slower.down) == pytest.approx(expected)
+
+
+def test_a_move_at_the_start_rate_slows_down_as_well(load):
+    assert compute_speeds(load, 32, rate_ratio=0.5).start == pytest.approx(compute_speeds(load, 32).start / 2)
+
+
+def test_the_rate_falls_where_no_safety_factor_helps(task):
+    planner = RecordingPlanner(
+        task, lambda safety, limit: (0.3, planner.rate_ratios[-1] < 0.6, 0.0), max_safety_factor=1.9
+    )
+    choice, _, _ = find_formula_plan(planner)
+    assert choice == (1.5, 0.5)
+    assert planner.rate_ratios == [1, 1, 0.7, 0.5], "1.95 and more are beyond the motor"
 
 
 def test_a_dc_motor_has_its_stall_torque_at_rest_and_nothing_from_its_no_load_speed_on():
@@ -89,18 +123,14 @@ class RecordingPlanner:
     """
 
     def __init__(self, task, outcome_of, max_safety_factor=99.0):
-        self.task, self.outcome_of, self.max_safety_factor, self.safety_factors, self.limits = (
-            task,
-            outcome_of,
-            max_safety_factor,
-            [],
-            [],
-        )
+        self.task, self.outcome_of, self.max_safety_factor = task, outcome_of, max_safety_factor
+        self.safety_factors, self.rate_ratios, self.limits = [], [], []
 
-    def build_formula_plan(self, safety=SAFETY_FACTOR):
+    def build_formula_plan(self, safety=SAFETY_FACTOR, rate_ratio=1.0):
         if safety > self.max_safety_factor:
             raise ArgumentError("too weak a motor.")
         self.safety_factors.append(round(safety, 9))
+        self.rate_ratios.append(rate_ratio)
         return MovePlan({"safety": safety}, Speeds(1000.0, 4000.0, 0.1, 0.2))
 
     def run_moves(self, plans, cases, limit):
@@ -121,7 +151,8 @@ def find_formula_plan(planner):
 
 def test_the_safety_factor_rises_until_the_formula_keeps_step(task):
     planner = RecordingPlanner(task, lambda safety, limit: (0.3, safety > 2.2, 0.0))
-    safety, plan, limit = find_formula_plan(planner)
+    (safety, ratio), plan, limit = find_formula_plan(planner)
+    assert ratio == 1
     assert planner.safety_factors == [1.5, 1.725, 1.95, 2.25]
     assert (safety, plan.registers["safety"]) == (pytest.approx(2.25), pytest.approx(2.25))
     assert limit == compute_time_limit(0.3, task.hold)
@@ -132,20 +163,26 @@ def test_the_safety_factor_rises_until_the_formula_keeps_step(task):
 
 def test_a_swinging_move_is_observed_longer_before_the_safety_factor_rises(task):
     planner = RecordingPlanner(task, lambda safety, limit: (0.9 if limit > 2 else np.nan, True, 0.0))
-    safety, _, limit = find_formula_plan(planner)
-    assert (safety, limit, planner.safety_factors) == (1.5, compute_time_limit(0.9, task.hold), [1.5])
+    choice, _, limit = find_formula_plan(planner)
+    assert (choice.safety_factor, limit, planner.safety_factors) == (1.5, compute_time_limit(0.9, task.hold), [1.5])
     assert planner.limits[1] == 4 * planner.limits[0]
 
 
 @pytest.mark.parametrize(
     ("outcome", "message"),
     [
-        ((0.3, False, 0.0), "the formula's registers lose steps, even with a safety factor of 4.5"),
+        (
+            (0.3, False, 0.0),
+            "the formula's registers lose steps, even with a safety factor of 4.5, or at 0.1 of the rates",
+        ),
         (
             (np.nan, True, 0.0),
-            "do not come to rest within 50 um of the goal in 4.5 s, even with a safety factor of 4.5",
+            "do not come to rest within 50 um of the goal in 4.5 s, even with a safety factor of 4.5, or at 0.1 of the rates",
         ),
-        ((0.3, True, 2e-4), "go 200 um beyond the goal, even with a safety factor of 4.5: allow more, --overshoot"),
+        (
+            (0.3, True, 2e-4),
+            "go 200 um beyond the goal, even with a safety factor of 4.5, or at 0.1 of the rates: allow more, --overshoot",
+        ),
     ],
 )
 def test_the_error_states_the_cause_when_no_safety_factor_helps(task, outcome, message):

@@ -9,6 +9,7 @@ from stage import Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError
 from stage.tune import MoveCase, Task
+from stage.tune.formula import FormulaChoice
 from stage.tune.move_runner import MoveOutcomes
 from stage.tune.planners import create_planner
 from stage.tune.search import compute_time_limit, search_registers
@@ -54,7 +55,7 @@ class NumberedRunner:
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
 def test_the_first_trials_are_the_formula_and_bolder_safety_factors_with_each_ramp_shape(chip):
     runner = NumberedRunner(lambda k, case: (0.3, True), chip)
-    runner.search(9, safety_factor=2.0)
+    runner.search(9, choice=FormulaChoice(2.0))
     shapes = runner.planner.ramp_shapes
     wanted = [runner.planner.compute_speeds(2.0 * part).drive for _ in shapes for part in (1.0, 0.9, 0.8, 0.7)]
     speeds = [plan.speeds for plan in runner.plans[1:]]  # the sampler has drawn one before them
