@@ -60,7 +60,7 @@ PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 packages: .venv/.packages
 
 .venv/.packages: .venv/.dev $(PACKAGES:%=%/pyproject.toml)
-	$(BIN)/python -m pip install -q $(PACKAGES:%=-e ./%)
+	$(BIN)/python -m pip install -q $(PACKAGES:%=-e './%[test]')
 	@touch $@
 
 test-packages: .venv/.packages

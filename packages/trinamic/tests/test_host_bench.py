@@ -79,7 +79,6 @@ def test_a_chip_without_a_uart_and_a_second_port_are_refused(bench):
         bench.open_uart("x")
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(
     any(find_spec(name) is None for name in ("tmc_driver", "gpiozero", "serial")),
     reason="PyTmcStepper, gpiozero and pyserial are not installed",
@@ -89,4 +88,5 @@ def test_pytmcstepper_homes_an_axis_without_a_switch():
     assert done.returncode == 0, done.stderr[-2000:]
     assert "amplitude 1.125 A, 2 microsteps" in done.stdout
     assert re.search(r"moved -(9\.9|10\.0)\d mm, 0 steps lost", done.stdout), done.stdout
+    assert "min StallGuard result during accel" in done.stdout + done.stderr  # test_stallguard_threshold
     assert "homing True at 156" in done.stdout
