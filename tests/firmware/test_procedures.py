@@ -226,6 +226,8 @@ def test_a_line_of_nova_axes_refuses_impossible_lines_and_reports_stop_reasons(s
     firmware.stop(y)
     with pytest.raises(ArgumentError, match=r"drive speed .* pps: up to .* here"):
         firmware.line({"x": 1e-3, "y": 1e-3}, stage, speed=60)
+    with pytest.raises(ArgumentError, match=r"start speed 3.2e\+203 pps is above the drive speed"):
+        firmware.line({"x": 1e-3, "y": 1e-3}, stage, start_speed=1e198)
     started = {a.name: a.chip.net(a.chip_axis) for a in (x, y)}
     with pytest.raises(RunTimeout) as caught:
         firmware.line({x: 6e-3, y: 2e-3}, timeout=0.05)

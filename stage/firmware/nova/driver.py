@@ -44,6 +44,14 @@ END_CAUSES = {
 """Name of a bit that shows the end of a drive -> stop reason in reports."""
 
 
+def _check_start_speed(speeds: Speeds, low: float = 0.0) -> None:
+    """Raise ArgumentError if the start speed is above the drive speed. `low` is the lowest speed of the chip, pps."""
+    if speeds.start > speeds.drive:
+        raise ArgumentError(
+            f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}: ramps lead up."
+        ).with_limit(ExceededLimit("start_speed", speeds.start, low, speeds.drive))
+
+
 class NovaPattern(operation_pattern.OperationPattern):
     """Signals and commands of a NOVA chip that the plot of a report shows."""
 
@@ -171,10 +179,7 @@ class NovaDriver(Driver):
                 raise ArgumentError(
                     f"{name} speed {rate:g} pps: {add_article(self.map.chip)} makes {low:g} to {high:g} pps here."
                 ).with_limit(ExceededLimit(field, rate, low, high))
-        if speeds.start > speeds.drive:
-            raise ArgumentError(
-                f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}: ramps lead up."
-            ).with_limit(ExceededLimit("start_speed", speeds.start, low, speeds.drive))
+        _check_start_speed(speeds, low)
         return self.compute_move_registers(
             speeds.start, speeds.drive, speeds.up, speeds.down, pulses, bool(speeds.s_curve)
         )
@@ -223,6 +228,7 @@ class NovaDriver(Driver):
             raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.max_rate:g} here.").with_limit(
                 ExceededLimit("speed", speeds.drive, 0.0, line_plan.max_rate)
             )
+        _check_start_speed(speeds)
         distances = np.array([[pulses[n] for n in moving_drivers]])
         moves = LineMoves(distances, np.array([speeds.drive]))
         ops = line_plan.write_programs(line_plan.compute_registers(moves), moves)[0]
