@@ -64,7 +64,8 @@ class RecordingTools:
             return {"recording": True, "time_s": stage.time}
         if stage.recording is None:
             raise StageError("Nothing is being recorded: begin with on=true.")
-        stage.recording.close()
+        self._recording = stage.recording  # of this session, or one that the owner of the stage has begun
+        self._recording.close()
         self._report_at_end = self._context.report
         return {"recording": False, "seconds": self._recording.duration, "columns": list(self._recording.columns)}
 
@@ -91,6 +92,12 @@ class RecordingTools:
         """End a recording that has become longer than `MAX_DURATION_S`."""
         running = self._context.stage.recording
         if running is not None and running.duration > MAX_DURATION_S:
+            running.close()
+
+    def end_own_recording(self) -> None:
+        """End the recording that this session has begun, if it is in progress."""
+        running = self._context.stage.recording
+        if running is not None and running is self._recording:
             running.close()
 
     def describe_last_recording(self) -> dict[str, Any]:

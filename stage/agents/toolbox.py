@@ -118,6 +118,7 @@ class Toolbox(ToolContext, ToolSet):
         self.meter.call_cancelled = True
 
     def release(self) -> None:
+        self.recordings.end_own_recording()
         for trace, diagnostics in zip(self.traces, self.diagnostics, strict=True):
             trace.close()
             diagnostics.close()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from stage.agents import Toolbox
 from stage.agents.recording_tools import MAX_SAMPLES, RecordingTools, thin_out
 from stage.errors import ArgumentError, StageError
 
@@ -12,9 +13,7 @@ def recording(make_box, tmp_path):
     folder = tmp_path / "given"
     folder.mkdir()
     box = make_box(mode="truth", folder=str(folder))
-    yield box
-    if box.stage.recording is not None:
-        box.stage.recording.close()
+    return box
 
 
 def record_move(box):
@@ -105,3 +104,23 @@ def test_a_recording_continues_from_call_to_call(recording):
     assert "seconds" in recording.recordings.describe_last_recording(), "of the recording"
     recording.call("move", {"axis": "x", "pulses": 10})
     assert recording.recordings.describe_last_recording()["axis"] == "x", "a move since then is the last"
+
+
+def test_the_end_of_a_session_ends_the_recording_that_it_has_begun_and_no_other(make_box):
+    box = make_box(mode="truth")
+    stage = box.stage
+    assert box.call("record", {"on": True}).ok
+    box.close()
+    assert stage.recording is None
+
+    with stage.record() as recording:
+        Toolbox(stage, "truth").close()
+        assert stage.recording is recording
+
+
+def test_an_agent_may_end_the_recording_of_the_stages_owner(make_box):
+    box = make_box(mode="truth")
+    with box.stage.record():
+        box.stage.run(0.01)
+        assert box.call("record", {"on": False}).data["seconds"] == pytest.approx(0.01)
+        assert box.stage.recording is None
