@@ -91,7 +91,7 @@ def test_in_process_a_sanitizer_that_was_not_loaded_first_is_refused_in_words(dr
     with pytest.raises(
         LibraryError, match=r"whose libasan\.so\S* has to be loaded before all else: .*LD_PRELOAD=libasan"
     ):
-        NativeHost(driver, board, flags=("-fsanitize=address",)).run()
+        NativeHost(driver, board, flags=("-fsanitize=address",), isolated=False).run()
 
 
 @pytest.mark.skipif(shutil.which("gcov") is None, reason="gcov is not installed")
