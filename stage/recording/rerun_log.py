@@ -39,6 +39,8 @@ STATES = {
     "idle": (52, 57, 66), "profile": (38, 140, 92), "control": (40, 108, 186),
     "fault": (206, 52, 46), "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
 }  # fmt: skip
+NEUTRAL = (176, 182, 192)
+"""Color of bus lines. Only mistakes, a write that did not arrive or a fault, are red."""
 LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERROR"}
 
 
@@ -68,7 +70,7 @@ class RerunLog:
 
         self._recording, self._rows, self._fault_changes_logged = recording, 0, 0
         self._colors = {name: COLORS[color] for name, color in assign_colors(recording).items()}
-        self._lanes = {name: StateLanes(recording, name, self._colors[name]) for name in recording.axes}
+        self._lanes = {name: StateLanes(recording, name) for name in recording.axes}
         self._scene = rerun_scene.Scene(recording)
         self._sink = RrdSink(rr.RecordingStream("pulsestage"), path, build_dashboard(recording), overwrite)
         try:
@@ -181,8 +183,8 @@ def _log_series(out: Any, recording: Recording, rows: np.ndarray) -> None:
 class StateLanes:
     """Logger of one axis' state lanes: motion phase, switches and bus, up to the end of its journal."""
 
-    def __init__(self, recording: Recording, name: str, color: tuple):
-        self._recording, self._name, self._color = recording, name, color
+    def __init__(self, recording: Recording, name: str):
+        self._recording, self._name = recording, name
         self._axis, self._journal = recording.axes[name], recording.journals[name]
         self._replay, self._first = Replay(self._journal), True
         self._decoder, self._entries_logged = self._axis.chip.decoder(self._axis.chip_axis), 0
@@ -252,7 +254,7 @@ class StateLanes:
             columns=rr.TextLog.columns(
                 text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, statements, strict=True)],
                 level=[LEVELS[s.kind] for s in statements],
-                color=[(*self._color, 255)] * len(statements),
+                color=[(*(STATES["fault"] if s.kind == "lost" else NEUTRAL), 255) for s in statements],
             ),
         )
 

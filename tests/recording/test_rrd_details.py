@@ -77,6 +77,20 @@ def test_each_line_of_the_bus_is_logged_once_with_its_level(streamed):
     assert rerun_log.LEVELS["lost"] == "ERROR"
 
 
+def test_bus_lines_are_neutral_and_only_a_lost_write_is_red(monkeypatch):
+    logged = []
+    monkeypatch.setattr(rerun_log.rr, "TextLog", SimpleNamespace(columns=lambda **columns: columns), raising=False)
+    recording = SimpleNamespace(seconds=lambda name, clocks: clocks * 1e-6)
+    lanes = StateLanes.__new__(StateLanes)
+    lanes._recording, lanes._name = recording, "x"
+    out = SimpleNamespace(send_columns=lambda path, indexes, columns: logged.extend(columns["color"]))
+    kinds = ("register", "command", "reset", "lost")
+    lanes._log_bus(out, [SimpleNamespace(kind=kind, clock=k) for k, kind in enumerate(kinds)])
+    neutral = (*rerun_log.NEUTRAL, 255)
+    assert logged == [neutral, neutral, neutral, (*RED, 255)]
+    assert max(neutral[:3]) - min(neutral[:3]) < 20, "a gray"
+
+
 def test_the_command_is_dark_and_wide_below_the_position(streamed):
     def style(series):
         result = streamed[f"/axes/x/{series}"]
@@ -130,7 +144,7 @@ def test_a_lane_continues_and_combined_switches_have_the_most_important_color(mo
     bench = make_bench()
     axis, chip = bench.axes["x"], bench.chip
     axis.switches = SimpleNamespace(as_dict=lambda: {"org": False, "el_plus": False})
-    lanes = StateLanes(bench.recording, "x", (1, 2, 3))
+    lanes = StateLanes(bench.recording, "x")
     org, end, hold, up = (
         chip.find_switch_input("org"),
         chip.find_switch_input("el_plus"),
