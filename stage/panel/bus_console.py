@@ -39,8 +39,9 @@ class BusConsole:
         self._names = [list_axis_names(stage, k) for k in range(len(stage.chips))]
         self._targets = [(k, axis) for k, names in enumerate(self._names) for axis in names]
         titles = [f"{self._names[k][axis]}: {type(stage.chips[k]).__name__}" for k, axis in self._targets]
-        with ui.card().classes("w-full q-pa-sm"):
-            with ui.row().classes("w-full items-start no-wrap q-gutter-sm"):
+        with ui.card().classes("w-full console").props("data-test=console-card") as self._card:
+            with ui.row().classes("w-full items-start no-wrap gap-3"):
+                ui.label("Bus console").classes("section self-center gt-xs")
                 chips = dict(enumerate(titles))
                 select = ui.select(chips, value=0, label="bus", on_change=lambda e: self._select_target(e.value))
                 select.props('dense options-dense data-test="console-target"').style("min-width: 110px")
@@ -50,6 +51,7 @@ class BusConsole:
             self._log = TextLog(updates, MAX_LINES).classes("trace w-full")
             self._log.props('data-test="trace" aria-label="the bus, in words"')
             self._fold = ui.expansion("diagnostics").props("dense").classes("w-full").props('data-test="diagnostics"')
+            self._fold.set_visibility(False)
             with self._fold:
                 self._diagnostics_log = TextLog(updates, MAX_LINES).classes("trace w-full").style("height: 130px")
                 self._diagnostics_log.props('data-test="diagnosed" aria-label="diagnostics"')
@@ -92,6 +94,7 @@ class BusConsole:
         try:
             values = await asyncio.wrap_future(session.post(lambda stage: build_chip_view(stage.chips[k], axis).values))
             command = parse_line(type(session.stage.chips[k]), text, axis, values)
+            self._card.classes("used")
             self._log.append(f"> {text}", "own")
             self._line.value, self._line.error = "", None
             if self._history[-1:] != [text]:
@@ -121,4 +124,5 @@ class BusConsole:
                     names = "/".join(self._names[k].values())
                     self._diagnostics_log.append(f"{names} {line.format(trace.digits)}", "bad")
         if has_new:
+            self._fold.set_visibility(True)
             self._fold.text = f"diagnostics ({sum(len(trace.diagnostics) for trace in traces)})"

@@ -325,8 +325,8 @@ class ChipCard:
         self.names = list_axis_names(stage, k)
         self._rows: list[RegisterRow | LampRow] = []
         names = " ".join(name for name in self.names.values() if "(" not in name) or "no axis"
-        with ui.card().classes("w-full q-pa-none"):
-            self._body = ui.expansion(f"{names}: {self.front.map.title}").classes("w-full front")
+        with ui.card().classes("w-full front-card"):
+            self._body = ui.expansion(f"Front panel of {names}: {self.front.map.title}").classes("w-full front")
         self._body.props(f'data-test="chip-{k}"').on_value_change(self._build_content)
         if k == 0:
             self._body.value = True
@@ -411,14 +411,15 @@ def _build_foldable_part(title: str, is_open: bool = True) -> ui.expansion:
 
 
 STYLE = """
+.panel .front-card { padding: 0; container-type: inline-size }
 .front .nicegui-expansion-content { gap: 2px; padding: 0 12px 12px 12px }
 .front > .q-expansion-item__container > .q-item { padding: 8px 12px; font-weight: 600 }
 .part .q-item { min-height: 24px; padding: 2px 0; font-size: 12px }
 .part .nicegui-expansion-content { padding: 0 0 4px 0 }
-.section { font-size: 11px; text-transform: uppercase; letter-spacing: .06em; opacity: .7; margin-right: 10px }
+.lamps .section { margin-right: 10px }
 .registers { display: grid; column-gap: 10px; row-gap: 2px; align-items: center; font-size: 12px;
   grid-template-columns: max-content minmax(92px, 130px) fit-content(110px) 22px minmax(0, 1fr) }
-@media (max-width: 600px) { .registers { grid-template-columns: max-content minmax(84px, 1fr) fit-content(90px) 22px }
+@container (max-width: 560px) { .registers { grid-template-columns: max-content minmax(84px, 1fr) fit-content(90px) 22px }
   .registers .meaning { grid-column: 1 / -1; margin-bottom: 6px } }
 .registers .name { font-family: ui-monospace, monospace; font-weight: 600 }
 .registers .unit { opacity: .7 }
@@ -438,6 +439,7 @@ STYLE = """
 @keyframes flash-a { from { background: #ffb02088 } } @keyframes flash-b { from { background: #ffb02088 } }
 .flash-a { animation: flash-a .9s } .flash-b { animation: flash-b .9s }
 @media (prefers-reduced-motion: reduce) { .flash-a, .flash-b { animation-duration: .01s } }
-.trace { height: 210px; overflow: auto; font-family: ui-monospace, monospace; font-size: 11.5px; white-space: pre }
+.trace { height: 52px; overflow: auto; font-family: ui-monospace, monospace; font-size: 11.5px; white-space: pre }
+.used .trace { height: 210px }
 .trace .bad { color: #e5484d } .trace .own { opacity: .75 }
 """

@@ -30,9 +30,10 @@ class FaultPanel:
         self._slider_updates: list[Callable[[], None]] = []
         self._pushed_axis = ""
         with (
-            ui.expansion("Faults, load and push", icon="back_hand")
+            ui.card().classes("w-full").style("padding: 0"),
+            ui.expansion("Faults, load and push", icon="warning_amber")
             .classes("w-full")
-            .props("data-test=hands dense header-class=text-weight-medium")
+            .props("data-test=hands dense header-class=text-weight-medium"),
         ):
             with ui.row().classes("w-full items-center q-gutter-md"):
                 self._build_sliders()

@@ -119,7 +119,7 @@ class Oscilloscope:
 
     @property
     def running(self) -> bool:
-        """True if the time window follows the time; False: the picture stands still."""
+        """True if the time window follows the time; False: the picture is frozen."""
         return self._running
 
     @running.setter
@@ -185,7 +185,7 @@ class Oscilloscope:
 
     def _describe_state(self, now: float) -> str:
         if not self._running:
-            return "stopped"
+            return "frozen"
         if self.mode == "free":
             return "running"
         is_triggered = self._trigger_time is not None and now < self._window[1]

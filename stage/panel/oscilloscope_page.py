@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 POINTS = 300  # columns of pixels of a curve
 FRAME_INTERVAL_S, FLAT_INTERVAL_S = 0.1, 0.5  # s between pictures, and of flat curves
-CHART_HEIGHT, LANE_HEIGHT, GAP, LANE_GAP, TOP, FOOT, UNIT_HEIGHT = 120, 18, 30, 4, 8, 26, 18  # pixels
+CHART_HEIGHT, LANE_HEIGHT, GAP, LANE_GAP, TOP, FOOT, UNIT_HEIGHT = 84, 16, 12, 4, 4, 34, 18  # pixels
 INK, FAINT = "#8a94a0", "#8a94a040"
 COLORS = ("#3b8ee0", "#e0813b", "#3bb273", "#b05bd0", "#d0485b", "#9a8b3a", "#3bb6c4", "#7c8794")
 TRIGGER_TITLES = {"free": "no trigger", "auto": "auto", "normal": "normal", "single": "single"}
@@ -49,33 +49,37 @@ class OscilloscopeView:
         self._requested_trigger: tuple | None = None
         self._flat, self._drawn_at = False, 0.0
         self._frame: OscilloscopeFrame | None = None
-        with ui.card().classes("w-full q-pa-sm").props('data-test=scope role=group aria-label="Oscilloscope"'):
+        with ui.card().classes("w-full scope").props('data-test=scope role=group aria-label="Oscilloscope"'):
             titles = {name: format_heading(trace) for name, trace in traces.items()}
-            with ui.row().classes("w-full items-center q-gutter-xs no-wrap-md"):
-                self.run_button = ui.button("stop", on_click=self._toggle_running)
-                self.run_button.props("dense outline no-caps data-test=run").tooltip("run or stop")
+            modes = {mode: TRIGGER_TITLES[mode] for mode in MODES}
+            with ui.row().classes("w-full items-center gap-2 no-wrap"):
+                ui.label("Oscilloscope").classes("section")
+                self.run_button = ui.button("Freeze", icon="ac_unit", on_click=self._toggle_running)
+                self.run_button.props("dense outline no-caps color=cyan-9 data-test=run")
+                self.run_button.tooltip("freeze the picture, or let it follow the time; nothing stops")
                 spans = {s: f"{s * 1e3:g} ms" if s < 1 else f"{s:g} s" for s in SPANS}
-                self._build_select("window", "span", 112, spans, self.scope.span, self._set_span)
-                select = self._build_select(
-                    "traces", "traces", 220, titles, self.scope.names, self._select_traces, True
+                self._build_select("window", "span", 100, spans, self.scope.span, self._set_span)
+                self.mode = self._build_select("trigger", "mode", 104, modes, "free", self._set_trigger)
+                self.traces = self._build_select(
+                    "traces", "traces", 96, titles, self.scope.names, self._select_traces, True
                 )
-                select.props("use-chips").style("flex: 1")
-            with ui.row().classes("w-full items-center q-gutter-xs"):
-                modes = {mode: TRIGGER_TITLES[mode] for mode in MODES}
+                state = ui.element("div").classes("text-caption number col ellipsis").props("data-test=scope-state")
+                updates.show_text(state, self._describe_state)
+                with (
+                    ui.button(icon="save_alt").props("flat dense round aria-label='save the window' data-test=export"),
+                    ui.menu(),
+                ):
+                    for ending in FORMATS:
+                        item = ui.menu_item(f"the window as .{ending}, every sample", partial(self._export, ending))
+                        item.props(f"data-test=export-{ending}")
+            with ui.row().classes("w-full items-center gap-2") as self.trigger_row:
                 sources = {DIAGNOSTIC: DIAGNOSTIC, LOST: LOST, **titles}
                 edges = {True: "rising", False: "falling"}
-                self.mode = self._build_select("trigger", "mode", 110, modes, "free", self._set_trigger)
                 self.source = self._build_select("at", "source", 180, sources, LOST, self._set_trigger)
                 self.edge = self._build_select("edge", "edge", 90, edges, True, self._set_trigger)
                 self.level = ui.number("level", value=0.5, on_change=self._set_trigger).style("width: 90px")
                 self.level.props("dense outlined data-test=level debounce=400")
-                state = ui.element("div").classes("text-caption number").props("data-test=scope-state")
-                updates.show_text(state, self._describe_state)
-                ui.space()
-                for ending in FORMATS:
-                    button = ui.button(ending.upper(), on_click=partial(self._export, ending))
-                    button.props(f"dense flat no-caps data-test=export-{ending}")
-                    button.tooltip(f"what the window shows, every sample, as .{ending}")
+            self.trigger_row.set_visibility(False)
             self.chart = ui.echart({}).classes("w-full").props("data-test=chart")
             self._build_charts()
         updates.call_method(self.chart, "run_chart_method", self._build_next_message, FRAME_INTERVAL_S)
@@ -108,6 +112,7 @@ class OscilloscopeView:
         self._build_charts()
 
     def _set_trigger(self) -> None:
+        self.trigger_row.set_visibility(self.mode.value != "free")
         level = 0.5 if self.level.value is None else self.level.value
         trigger = (self.mode.value, self.source.value or LOST, self.edge.value, level)
         if (
@@ -153,7 +158,7 @@ class OscilloscopeView:
             options["grid"].append({"left": 78, "right": 14, "top": top + head, "height": height})
             options["xAxis"].append(_build_x_axis(k, is_chart, k == len(titles) - 1))
             options["yAxis"].append(_build_y_axis(k, is_chart, title))
-            top += height + gap
+            top += head + height + gap
         lanes = iter(range(len(units), len(titles)))
         for n, t in enumerate(traces):
             place = next(lanes) if t.pin else units.index(t.unit)
@@ -162,6 +167,7 @@ class OscilloscopeView:
                 "type": "line", "name": t.title, "xAxisIndex": place, "yAxisIndex": place, "showSymbol": False,
                 "animation": False, "lineStyle": {"width": 1.3}, "data": [], "color": COLORS[n % len(COLORS)], **style,
             })  # fmt: skip
+        self.traces.props(f'display-value="{len(traces)} shown"')
         self.chart.options.clear()
         self.chart.options.update(options)
         self.chart.style(f"height: {top + FOOT}px")
@@ -171,7 +177,7 @@ class OscilloscopeView:
     def _build_next_message(self) -> list | None:
         scope = self.scope
         frame = self._frame = scope.capture_frame(POINTS)
-        running = "stop" if scope.running else "run"
+        running = "Freeze" if scope.running else "Follow"
         if self.run_button.text != running:
             self.run_button.text = running
         drawn = (

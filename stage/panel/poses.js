@@ -1,13 +1,14 @@
-// Where the bodies of a scene are: see stage_scene.py. The scene is drawn when something in it has changed, not all the time. A machine
-// without a graphics card draws it by its processor: fewer pictures then, and coarser ones, so that the rest of the page lives.
-const SLOW = 70; // ms for a picture
-const REST = 2; // as long as a slow picture took, times this, nothing is drawn
-const COARSEST = 0.5; // pixels of the picture for one of the page
+// Poses of the bodies of a scene, and when the scene is drawn: see stage_scene.py. Only changes are drawn. Without a graphics card the
+// processor draws: then the scene is coarse while something moves, and sharp again as soon as it rests.
+const PICTURE_MS = 50; // for a picture of a moving scene, at most: as long again is left to the rest of the page
+const LONGEST_REST_MS = 200; // between two pictures, also after one that took long
+const SETTLED_MS = 300; // without a change: the scene rests
+const COARSENESS = [1, 0.7, 0.5, 0.35]; // pixels of a picture for one of the screen, sharpest first
 
 function looks(scene, camera) {
   const place = (o) => [...o.position.toArray(), ...o.quaternion.toArray()].map((v) => v.toFixed(6)); // the controls' last digits drift
   const parts = [place(camera), camera.projectionMatrix.elements];
-  scene.traverse((o) => parts.push(o.id, o.visible, place(o)));
+  scene.traverse((o) => parts.push(o.id, o.visible, o.material?.color?.getHex(), place(o)));
   return parts.join();
 }
 
@@ -15,28 +16,56 @@ export default {
   template: '<span style="display: none"></span>',
   props: { scene: Number },
   mounted() {
-    const wait = setInterval(() => {
+    this.poses = new Map();
+    this.wait = setInterval(() => {
       const scene = getElement(this.scene);
       if (!scene?.renderer) return;
-      clearInterval(wait);
-      const { renderer } = scene;
+      clearInterval(this.wait);
+      this.control(scene, scene.renderer);
+      this.resizing = new ResizeObserver(() => scene.resize()); // the scene itself follows the window only
+      this.resizing.observe(scene.$el);
+    }, 50);
+  },
+  unmounted() {
+    clearInterval(this.wait);
+    this.resizing?.disconnect();
+  },
+  methods: {
+    move(poses) {
+      for (const [object, ...pose] of poses) this.poses.set(object, pose);
+    },
+    place(scene) {
+      for (const [object, [position, rotation]] of this.poses) {
+        if (!scene.objects.has(object)) continue; // it comes later: a new page makes its objects one by one
+        this.poses.delete(object);
+        scene.move(object, ...position);
+        scene.rotate(object, rotation);
+      }
+    },
+    control(scene, renderer) {
       const [draw, resize] = [renderer.render.bind(renderer), renderer.setSize.bind(renderer)];
       const gl = renderer.getContext();
-      let [drawn, fence, begun, free, slow] = ["", null, 0, 0, 0];
+      let [drawn, fence, begun, free, changed, level, drawnLevel] = ["", null, 0, 0, 0, 0, 0];
       this.frames = 0;
       renderer.render = (what, camera) => {
         const t = performance.now();
+        this.place(scene);
         if (fence) {
           if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return;
           gl.deleteSync(fence);
           fence = null;
           const took = t - begun;
-          slow = took > SLOW ? slow + 1 : 0;
-          if (slow) free = t + REST * took;
-          if (slow > 2 && renderer.getPixelRatio() > COARSEST) renderer.setPixelRatio(COARSEST);
+          free = t + Math.min(took, LONGEST_REST_MS);
+          if (drawnLevel === level && took > PICTURE_MS) level = Math.min(level + 1, COARSENESS.length - 1);
+          else if (drawnLevel === level && took < 0.4 * PICTURE_MS) level = Math.max(level - 1, 0);
         }
         const now = looks(what, camera);
-        if (now === drawn || t < free) return;
+        if (now !== drawn) changed = t;
+        const rests = t - changed > SETTLED_MS;
+        if (t < free || (now === drawn && !(rests && drawnLevel > 0))) return;
+        drawnLevel = rests ? 0 : level;
+        const ratio = COARSENESS[drawnLevel] * devicePixelRatio;
+        if (renderer.getPixelRatio() !== ratio) renderer.setPixelRatio(ratio);
         drawn = now;
         begun = t;
         this.frames++;
@@ -48,16 +77,6 @@ export default {
         drawn = "";
         resize(...size);
       };
-    }, 50);
-  },
-  methods: {
-    move(poses) {
-      const scene = getElement(this.scene);
-      if (!scene?.objects) return;
-      for (const [object, place, turn] of poses) {
-        scene.move(object, ...place);
-        scene.rotate(object, turn);
-      }
     },
   },
 };

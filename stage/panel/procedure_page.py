@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -28,6 +28,7 @@ from stage.panel.session import ActionStopped
 if TYPE_CHECKING:
     from stage.panel.server import Panel
     from stage.panel.session import Session
+    from stage.sim.stage import Stage
 
 
 class FormView:
@@ -49,9 +50,8 @@ class FormView:
         props = f"dense outlined hide-bottom-space data-test={self.name}-{field.name}"
         if field.choices:
             control: Any = ui.select(list(field.choices), value=field.default, label=field.title)
-            return control.props(f"{props} options-dense").style("min-width: 100px")
-        control = ui.input(field.title, value=field.default).props(f'{props} suffix="{field.unit}" inputmode=decimal')
-        return control.style("width: 118px")
+            return control.props(f"{props} options-dense")
+        return ui.input(field.title, value=field.default).props(f'{props} suffix="{field.unit}" inputmode=decimal')
 
     @property
     def texts(self) -> dict[str, Any]:
@@ -79,22 +79,39 @@ class ProcedureOutcome(NamedTuple):
         text: The report, or the name of the procedure while it is under way.
         has_failed: Whether the procedure did not do what was requested.
         picture: The operation pattern as SVG, or "".
+        time: Simulated time of the outcome, s.
+        undone: Reason for which the stage no longer has this outcome in its past, for people; "" if it has.
     """
 
     text: str = ""
     has_failed: bool = False
     picture: str = ""
+    time: float = 0.0
+    undone: str = ""
 
 
 NO_OUTCOME = ProcedureOutcome()
 
 
 class ProcedureReports:
-    """Last outcome of each form of a panel. All browsers show them, also after a reload of the page."""
+    """Last outcome of each form of a panel. All browsers show them, also after a reload of the page.
+
+    After a power-up, or when somebody goes back in time, the outcomes of what has not happened any more are marked.
+    """
 
     def __init__(self, session: Session):
-        self._session = session
+        self._session, self._time = session, 0.0
         self._outcomes: dict[str, ProcedureOutcome] = {}
+        session.call_after_slices(self._mark_undone_outcomes)
+
+    def _mark_undone_outcomes(self, stage: Stage) -> None:
+        before, self._time = self._time, stage.time
+        if stage.time >= before:
+            return
+        undone = f"from before time went back to {stage.time:.3f} s" if stage.time else "from before the power-up"
+        for form, outcome in list(self._outcomes.items()):
+            if outcome.time > stage.time and outcome.text:
+                self._outcomes[form] = outcome._replace(undone=undone)
 
     def find_outcome(self, form: str) -> ProcedureOutcome:
         """Return the last outcome of a form, or the outcome so far of the procedure that is under way."""
@@ -102,7 +119,8 @@ class ProcedureReports:
 
     def set_outcome(self, form: str, text: str, has_failed: bool = False) -> ProcedureOutcome:
         """Store the last outcome of a form, and return it."""
-        outcome = self._outcomes[form] = ProcedureOutcome(text, has_failed)
+        time = self._session.view.time if text else 0.0
+        outcome = self._outcomes[form] = ProcedureOutcome(text, has_failed, time=time)
         return outcome
 
     async def perform(self, form: str, title: str, action: Callable[[Any], Any]) -> Any:
@@ -119,11 +137,12 @@ class ProcedureReports:
         Raises:
             StageError: The action could not begin; the form then has no outcome.
         """
-        self.set_outcome(form, f"{title} ...")
+        begin = self.set_outcome(form, f"{title} ...")
         try:
             report = await asyncio.wrap_future(self._session.act(title, action))
         except ActionStopped:
-            self.set_outcome(form, f"{title}: stopped.")
+            now = self._session.view.time
+            self.set_outcome(form, f"{title}: stopped." if now >= begin.time else "")
         except RunTimeout as error:
             self.set_outcome(form, f"{error}\n{getattr(error, 'report', '')}", has_failed=True)
         except BaseException:
@@ -152,9 +171,10 @@ class OutcomeView:
 
     def __init__(self, reports: ProcedureReports):
         self._reports, self._displayed = reports, NO_OUTCOME
-        self._text = ui.label().classes("number").style("white-space: pre-wrap; font-size: 12px")
+        self._undone = ui.label().classes("report text-caption text-italic").props("data-test=undone")
+        self._text = ui.label().classes("report number").style("white-space: pre-wrap; font-size: 12px")
         self._text.props("data-test=report aria-live=polite role=status")
-        self._picture = ui.html("", sanitize=False).classes("w-full pattern").props("data-test=pattern")
+        self._picture = ui.html("", sanitize=False).classes("w-full report pattern").props("data-test=pattern")
 
     def update(self, form: str) -> None:
         """Show the last outcome of a form."""
@@ -162,31 +182,53 @@ class OutcomeView:
         if outcome is self._displayed:
             return
         self._displayed = outcome
+        self._undone.text = outcome.undone
         self._text.text, self._picture.content = outcome.text, outcome.picture
         self._text.classes(**{"add" if outcome.has_failed else "remove": "text-negative"})
+        for element in (self._text, self._picture):
+            element.classes(**{"add" if outcome.undone else "remove": "former"})
 
 
-STOP_BUTTONS = {"stop": ("orange-9", False), "stop at once": ("negative", True)}
-"""Label -> color, and whether the axes stop without a ramp."""
+STOP_BUTTONS = {
+    "stop": ("Stop motion", "all axes come to rest with a ramp, and the procedure ends", "deep-orange-9", False),
+    "stop-at-once": ("Stop at once", "all axes come to rest without a ramp, and the procedure ends", "red-10", True),
+}
+"""Name for tests -> label, explanation and color of a button, and whether the axes stop without a ramp."""
+
+
+class StopButtons(ui.element):
+    """Buttons that stop all axes and end the procedure under way."""
+
+    def __init__(self, session: Session):
+        super().__init__("div")
+        self._session = session
+        with self.classes("stops"):
+            for name, (label, explanation, color, at_once) in STOP_BUTTONS.items():
+                button = ui.button(label, on_click=partial(self._stop, at_once)).tooltip(explanation)
+                button.props(f"dense unelevated color={color} no-caps data-test={name}")
+
+    async def _stop(self, at_once: bool) -> None:
+        try:
+            await asyncio.wrap_future(self._session.stop(at_once))
+        except StageError as error:
+            ui.notify(str(error), type="negative", multi_line=True)
 
 
 class ProcedurePanel:
-    """Part of the page with the forms of the selected axis, the jog and stop buttons, and the outcome of the open form."""
+    """Part of the page with the forms of the selected axis, the jog buttons, and the outcome of the open form."""
 
     def __init__(self, panel: Panel, axes: list[str]):
         self.session, self.reports, self.observer = panel.session, panel.reports, panel.observer
         self.axis = axes[0]
-        self._open, self._go_buttons = "move", list[ui.button]()
+        self._open, self._views = "move", dict[str, FormView]()
+        self._go_buttons, self._reasons = list[ui.button](), list[ui.label]()
         self._jog: Jog | None = None
         with ui.card().classes("w-full q-pa-sm").props('data-test=procedures role=group aria-label="Procedures"'):
-            with ui.row().classes("w-full items-center q-gutter-xs"):
+            with ui.row().classes("w-full items-center justify-between"):
+                ui.label("Move the machine").classes("section")
                 toggle = ui.toggle(axes, value=self.axis, on_change=lambda e: self._select_axis(e.value))
                 toggle.props("dense no-caps data-test=procedure-axis")
-                ui.space()
-                for label, (color, at_once) in STOP_BUTTONS.items():
-                    button = ui.button(label, on_click=partial(self._stop, at_once))
-                    button.props(f"dense color={color} no-caps data-test={label.replace(' ', '-')}")
-            self._box = ui.column().classes("w-full q-gutter-xs")
+            self._box = ui.column().classes("w-full gap-1")
             self._outcome_view = OutcomeView(panel.reports)
         panel.controls.call_when_controls_lost(ui.context.client.id, self._end_jog)
         self._select_axis(self.axis)
@@ -195,12 +237,31 @@ class ProcedurePanel:
     def _update(self) -> None:
         """Show the last outcome, and disable the buttons that begin a procedure while any procedure is under way."""
         self._outcome_view.update(self._open)
+        reason = self._explain_busy()
         for button in self._go_buttons:
-            button.set_enabled(not self.session.busy)
+            button.set_enabled(not reason)
+        for label in self._reasons:
+            label.text = reason
+
+    def _explain_busy(self) -> str:
+        """Return the reason for which no procedure can begin now, or "" if one can."""
+        if not self.session.busy:
+            return ""
+        how = "resume time, or stop it" if self.session.paused else "stop it, or wait for its end"
+        return f"{self.session.view.action or 'A procedure'} is under way: {how}."
+
+    def fill_in(self, form: str, texts: Mapping[str, str]) -> None:
+        """Open a form, if the selected axis has it, and put texts into its fields by name."""
+        if form not in self._views:
+            return
+        self._tabs.value = form
+        for field, control in self._views[form].controls.items():
+            control.value = texts.get(field, control.value)
 
     def _select_axis(self, axis: str) -> None:
         self.axis = axis
-        self._go_buttons.clear()
+        for items in (self._go_buttons, self._reasons, self._views):
+            items.clear()
         stage = self.session.stage
         self._box.clear()
         with self._box:
@@ -218,23 +279,26 @@ class ProcedurePanel:
             titles = {**{form.name: form.title for form in forms}, "jog": "Jog"}
             if self._open not in titles:
                 self._open = "move"
-            with ui.tabs().classes("w-full").props("dense no-caps inline-label align=left") as tabs:
+            with ui.tabs().classes("w-full").props("dense no-caps inline-label align=left") as self._tabs:
                 for name, title in titles.items():
                     ui.tab(name, title).props(f"data-test=tab-{name}")
-            tabs.on_value_change(lambda e: setattr(self, "_open", e.value))
-            with ui.tab_panels(tabs, value=self._open).classes("w-full").props("animated=false"):
+            self._tabs.on_value_change(lambda e: setattr(self, "_open", e.value))
+            with ui.tab_panels(self._tabs, value=self._open).classes("w-full").props("animated=false"):
                 for form, fields in forms.items():
-                    with ui.tab_panel(form.name).classes("q-pa-xs"):
+                    with ui.tab_panel(form.name).style("padding: 8px 0 0"):
                         self._build_form(form, fields)
-                with ui.tab_panel("jog").classes("q-pa-xs"):
+                with ui.tab_panel("jog").style("padding: 8px 0 0"):
                     self._build_jog()
 
     def _build_form(self, form: ProcedureForm, fields: list[FormField]) -> None:
-        with ui.row().classes("w-full items-start q-gutter-xs"):
-            view = FormView(form.name, fields)
+        with ui.element("div").classes("form"):
+            view = self._views[form.name] = FormView(form.name, fields)
+        with ui.row().classes("w-full items-center no-wrap gap-3 q-mt-sm"):
             begin = partial(self._begin_procedure, form, view)
-            button = ui.button("go", on_click=begin).props(f"dense no-caps data-test=go-{form.name}").classes("q-mt-sm")
-        self._go_buttons.append(button)
+            self._go_buttons.append(
+                ui.button("go", on_click=begin).props(f"no-caps unelevated data-test=go-{form.name}")
+            )
+            self._reasons.append(ui.label().classes("text-caption").props(f"data-test=busy-{form.name} role=status"))
         for control in view.controls.values():
             if isinstance(control, ui.input):
                 control.on("keydown.enter", begin)
@@ -255,7 +319,7 @@ class ProcedurePanel:
             self._show_error(error, view)
 
     def _build_jog(self) -> None:
-        with ui.row().classes("w-full items-start q-gutter-xs"):
+        with ui.element("div").classes("form"):
             view = FormView("jog", list_jog_fields(self.session.stage.axes[self.axis]))
             for direction, sign, name in ((-1, "-", "minus"), (1, "+", "plus")):
                 button = ui.button(f"{self.axis} {sign}").style("min-width: 72px")
@@ -267,9 +331,8 @@ class ProcedurePanel:
         """Jog the selected axis until `_end_jog`; `direction` is +1 or -1."""
         if self._jog is not None:
             return  # a key that repeats
-        if self.session.busy:
-            action = self.session.view.action or "a procedure"
-            ui.notify(f"{action} is under way: wait, or stop it first.", type="warning")
+        if reason := self._explain_busy():
+            ui.notify(reason, type="warning")
             return
         view.clear_errors()
         try:
@@ -285,13 +348,6 @@ class ProcedurePanel:
     def _end_jog(self) -> None:
         if self._jog is not None:
             self._jog.release()
-
-    async def _stop(self, at_once: bool) -> None:
-        """Stop all axes, at once or with ramps, and end the procedure that is under way."""
-        try:
-            await asyncio.wrap_future(self.session.stop(at_once))
-        except StageError as error:
-            self.reports.set_outcome(self._open, str(error), has_failed=True)
 
     def _show_error(self, error: StageError, view: FormView) -> None:
         """Show an error at the field that it concerns, or below the forms if it concerns no field."""

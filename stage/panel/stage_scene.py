@@ -107,7 +107,7 @@ def add_body(scene: ui.scene, model: mujoco.MjModel, body: int) -> ui.scene.grou
     return group
 
 
-VIEWS = {"corner": (0.75, -1.1, 0.75), "front": (0, -1.5, 0.15), "side": (1.5, 0, 0.15), "top": (0, -0.01, 1.6)}
+VIEWS = {"corner": (0.58, -0.86, 0.58), "front": (0, -1.2, 0.12), "side": (1.2, 0, 0.12), "top": (0, -0.01, 1.3)}
 """Places of the camera, from the center of the model, in its extents."""
 
 
@@ -126,8 +126,12 @@ def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
     data = mujoco.MjData(model)  # this page's own: the stage's belongs to its thread
     extent, (cx, cy, cz) = float(model.stat.extent), model.stat.center
     camera = ui.scene.perspective_camera(fov=40, near=extent / 100, far=extent * 20)
-    with ui.element("div").classes("relative-position"):
-        with ui.scene(grid=False, camera=camera, background_color="#20242b", fps=FRAMES).classes("scene") as scene:
+    with ui.element("div").classes("scene-box"):
+        with (
+            ui.scene(grid=False, camera=camera, background_color="#20242b", fps=FRAMES)
+            .classes("scene")
+            .props("data-test=scene") as scene
+        ):
             groups = {body: add_body(scene, model, body) for body in range(model.nbody)}
 
         def move_camera(name: str, duration: float = 0.4) -> None:

@@ -6,7 +6,7 @@ the chips are and whoever writes to them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -61,12 +61,18 @@ class Step:
         title, task: Texts for the user.
         sheet: Terms that data sheets use for it.
         done: Function that returns whether the user has done the step.
+        shown_by: Part of the page that shows what happens: scene, readout, scope or procedures.
+        form: Form that performs the step.
+        texts: Texts for fields of the form, by name.
     """
 
     title: str
     task: str
     sheet: str
     done: Callable[[Tour], bool]
+    shown_by: str
+    form: str
+    texts: Mapping[str, str]
 
 
 class Tour:
@@ -177,42 +183,59 @@ def _is_synchronized(tour: Tour) -> bool:
 STEPS = (
     Step(
         "First pulse",
-        "Make an axis move. With bytes: open the front panel of a chip, write its registers and press a start command. With a "
-        "form: Move, 1 mm.",
+        "The form asks for a move of 1 mm. Press go. (With bytes: the front panel of the chip, further down.)",
         "Preset or positioning operation: the chip gives out as many pulses as its pulse register says, and each pulse turns the "
         "motor by one microstep.",
         Tour.has_pulses,
+        "procedures",
+        "move",
+        {"distance": "1"},
     ),
     Step(
         "Ramp",
-        "Move 20 mm or more, and look at the rate on the oscilloscope: it rises, stays, and falls again.",
+        "Now 40 mm: press go, and look here at the pulse rate. It rises, stays, and falls again.",
         "High-speed operation with ramp-up and ramp-down, from the initial speed (FL, SV) to the drive speed (FH, V) at an "
         "acceleration rate.",
         _has_ramp,
+        "scope",
+        "move",
+        {"distance": "40"},
     ),
     Step(
         "Stall",
-        "Ask for more than the motor can: a much higher drive speed, a much shorter ramp, or 20 kg of payload. The pulses go on "
-        "and the carriage does not: lost steps. The chip cannot know.",
+        "The form now asks for more than the motor can: 600 mm/s after a ramp of 0.02 s. Press go. The pulses go on and the "
+        "carriage does not: here you see the lost steps. The chip cannot know.",
         "Pull-out torque: beyond it a stepper loses synchronism, by four full steps at a time. Data sheets of motors have a curve.",
         lambda tour: tour.lost,
+        "readout",
+        "move",
+        {"distance": "-40", "speed": "600", "start_speed": "300", "accel": "0.02"},
     ),
     Step(
         "Origin return",
-        "After lost steps nobody knows where the carriage is. Find the origin again: Home.",
+        "After lost steps nobody knows where the carriage is. Press go: it drives to its origin switch.",
         "Origin return, home position search: the chip drives until the ORG (home, STOP) input becomes active.",
         lambda tour: any(run.saw_org for _, run in tour.finished),
+        "scene",
+        "home",
+        {},
     ),
     Step(
         "Dual rate",
-        "Move at one speed, change to another on the way, and back: Two rates.",
+        "One move at two speeds: press go, and look at the pulse rate.",
         "FH1 and FH2, or a drive speed that is written while driving: the chip ramps from the one to the other.",
         _has_two_rates,
+        "scope",
+        "two_rates",
+        {"distance": "60"},
     ),
     Step(
         "Synchronized move",
-        "Drive two axes so that they begin and end together: Line, 30 mm by 10 mm.",
+        "Two axes that begin and end together, 30 mm by 10 mm: press go.",
         "Linear interpolation, or two chips with rates as a : b, started by one command (CSTA, STA, one write to both).",
         _is_synchronized,
+        "scene",
+        "line",
+        {"x": "30", "y": "10"},
     ),
 )

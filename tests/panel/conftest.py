@@ -16,6 +16,8 @@ from stage import Stage
 from stage.panel.sampler import Sampler
 from stage.panel.session import FREE, Session
 
+TOUR_COOKIE = "pulsestage_tour"
+
 ARGUMENTS = (
     "--headless=new",
     "--no-sandbox",
@@ -29,9 +31,15 @@ CURVE = "return getElement(Number(arguments[0].id.slice(1))).chart.getOption().s
 
 
 class Browser:
-    """A Chromium that looks at one page. Elements by their `data-test`."""
+    """A Chromium that looks at one page. Elements by their `data-test`.
 
-    def __init__(self, address, *arguments):
+    Args:
+        address: Address of the page.
+        *arguments: Arguments of Chromium.
+        is_first_visit: Whether the browser has never been here, so that the tour opens.
+    """
+
+    def __init__(self, address, *arguments, is_first_visit=False):
         from selenium import webdriver
 
         options = webdriver.ChromeOptions()
@@ -47,6 +55,8 @@ class Browser:
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         service = webdriver.ChromeService(shutil.which("chromedriver"))
         self.driver = webdriver.Chrome(options=options, service=service)
+        if not is_first_visit:
+            self.driver.execute_cdp_cmd("Network.setCookie", {"name": TOUR_COOKIE, "value": "seen", "url": address})
         self.open(address)
 
     def open(self, address):
@@ -198,8 +208,8 @@ def open_browser():
     """Opens further browsers: look_on(address)."""
     opened = []
 
-    def observe(address):
-        opened.append(Browser(address))
+    def observe(address, *arguments, **kwargs):
+        opened.append(Browser(address, *arguments, **kwargs))
         return opened[-1]
 
     yield observe

@@ -13,7 +13,7 @@ from stage.errors import StageError
 from stage.panel import chip_panel as chips
 from stage.panel import oscilloscope_page as charts
 from stage.panel.oscilloscope import SPANS, OscilloscopeFrame
-from stage.panel.page import format_position
+from stage.panel.page import READOUT, format_readout
 from stage.panel.register_text import BusCycle, FrontPanel
 
 
@@ -57,11 +57,10 @@ def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, pa
     for name, axis in served.session.stage.axes.items():
         observed = observer.axes[name]
         assert texts[f"motor-{name}"] == axis.drive.motor.name
-        assert texts[f"place-{name}"] == format_position(
-            axis.unit, observed.position, observed.commanded, observed.lost
-        )
+        cells = tuple(texts[f"{title.split()[0]}-{name}"] for title in READOUT)
+        assert cells == format_readout(axis.unit, observed.position, observed.commanded, observed.lost)
         assert {s: lamps[f"switch-{name}-{s}"] for s in axis.switches.as_dict()} == observed.switches
-    assert texts["place-x"] != texts["place-y"]
+    assert texts["position-x"] != texts["position-y"]
     pins = observer.chips[0, 0]
     for pin, on in (pins.inputs | pins.outputs).items():
         assert lamps[f"pin-0-{pin}"] == on
@@ -232,7 +231,7 @@ def wide():
 
 def test_rows_and_commands_are_of_the_selected_axis(wide):
     page, session = wide.visit(), wide.session
-    assert page.find("chip-0").text.startswith("x y: ")
+    assert page.find("chip-0").text.startswith("Front panel of x y: ")
     assert page.find("axis-of-0").options == {0: "x", 1: "y", 2: "(2)", 3: "(3)"}
     chip = session.stage.chips[0]
 
@@ -431,7 +430,7 @@ def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypa
     for running in (False, True):
         page.click("run")
         assert chart.scope.running is running
-        page.until(lambda r=running: page.text("run") == ("stop" if r else "run"))
+        page.until(lambda r=running: page.text("run") == ("Freeze" if r else "Follow"))
 
 
 def test_what_the_window_shows_is_exported_under_its_end(served, page):

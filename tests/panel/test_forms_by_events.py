@@ -155,7 +155,8 @@ def test_a_second_press_during_an_action_is_ignored(page, session, ordered):
     tab(page, "jog")
     page.fire("jog-plus", "pointerdown")
     page.until(lambda: page.said)
-    assert page.said.pop() == "Move x is under way: wait, or stop it first."
+    assert page.said.pop() == "Move x is under way: resume time, or stop it."
+    assert page.text("busy-move") == page.text("busy-line") == "Move x is under way: resume time, or stop it."
     session.paused = False
     page.until(lambda: page.find("go-move").enabled)
     assert ordered == ["Move x"]
@@ -235,15 +236,39 @@ def test_stop_stops_all_axes_and_ends_the_action(page, session, ordered, monkeyp
     assert not has_failed(page)
 
 
-def test_a_refused_stop_is_reported_below_the_open_form(page, session, monkeypatch):
+def test_a_refused_stop_is_reported(page, session, monkeypatch):
     def refuse(name, order):
         raise StageError("this session is over.")
 
-    tab(page, "home")
+    page.said.clear()
     monkeypatch.setattr(session, "act", refuse)
     page.click("stop")
-    page.until(lambda: page.text("report") == "this session is over.")
-    assert has_failed(page)
+    page.until(lambda: page.said == ["this session is over."])
+
+
+def test_a_report_from_before_a_power_up_is_marked_and_one_of_the_past_is_not(page, session):
+    report = go(page, "move")
+    session.paused = True
+    session.go_back(0.0)
+    page.settled()
+    assert page.text("undone") == ""
+    session.reset()
+    page.until(lambda: page.text("undone") == "from before the power-up")
+    assert page.text("report") == report
+    assert "former" in page.find("report").classes
+    session.paused = False
+    go(page, "move")
+    page.until(lambda: page.text("undone") == "" and "former" not in page.find("report").classes)
+
+
+def test_a_procedure_that_a_power_up_ends_leaves_no_report(page, session):
+    session.speed = 0.1
+    fill(page, move__distance="100")
+    page.click("go-move")
+    page.until(lambda: session.view.action and session.view.time > 0.01)
+    session.reset()
+    page.until(lambda: not session.busy)
+    page.until(lambda: page.text("report") == "")
 
 
 def test_an_axis_stopped_with_a_ramp_decelerates_to_rest(page, session):
@@ -334,7 +359,7 @@ def test_a_failed_report_is_red_and_a_timeout_includes_the_report(served, page, 
     assert reports.find_outcome("move")[:2] == ("too long.\nas far as this", True)
     good = SimpleNamespace(ok=True)
     assert ends(good) is good
-    assert reports.find_outcome("move")[1:] == (False, "")
+    assert reports.find_outcome("move")[1:3] == (False, "")
     page.until(lambda: not has_failed(page))
     with pytest.raises(StageError, match="not begun"):
         ends(StageError("not begun"))

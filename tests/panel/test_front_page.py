@@ -72,8 +72,8 @@ def test_a_command_moves_the_carriage_and_a_lamp_says_so(bench):
     goal = at + 9000 * bench.x("meters_per_pulse")
     assert bench.x("commanded") == pytest.approx(goal, abs=1e-9)
     browser.until(lambda: bench.x("position") == pytest.approx(goal, abs=2e-6))
-    displayed = browser.until(lambda: next(t for t in browser.text("place-x").split("\n") if "position" in t))
-    assert float(displayed.split()[1]) == pytest.approx(goal * 1e3, abs=0.01)
+    displayed = browser.until(lambda: browser.text("position-x"))
+    assert float(displayed.split()[0]) == pytest.approx(goal * 1e3, abs=0.01)
 
 
 def test_the_console_sends_bytes_and_shows_the_trace_in_words(bench):

@@ -29,7 +29,7 @@ def test_the_trigger_is_at_the_edge_of_the_trace(session, sampler):
     assert scope.capture_frame(100).state == "waits for the trigger"
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     frame = scope.capture_frame(100)
-    assert frame.state == "stopped"
+    assert frame.state == "frozen"
     assert frame.begin == pytest.approx(frame.trigger - BEFORE * 0.05)
     times, rate = frame.curves["x/rate"]
     k = np.searchsorted(times, frame.trigger)
@@ -95,7 +95,7 @@ def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
         assert (frame.trigger, frame.begin, frame.state) == (first.trigger, first.begin, "triggered")
     run_at_once(session, session.stage.run, 0.2)
     full = scope.capture_frame(2000)
-    assert (full.trigger, full.state) == (first.trigger, "stopped" if mode == "single" else "waits for the trigger")
+    assert (full.trigger, full.state) == (first.trigger, "frozen" if mode == "single" else "waits for the trigger")
     assert full.curves["x/rate"][0][-1] == pytest.approx(full.end, abs=1e-3)
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("nicegui")
 from stage import Stage
 from stage.panel import oscilloscope_page as chart
 from stage.panel.fault_controls import compute_user_push_limit
-from stage.panel.page import Toolbar, format_position
+from stage.panel.page import Toolbar, format_readout
 from stage.panel.session import FREE
 from stage.panel.stage_thread import describe_escape
 
@@ -47,11 +47,9 @@ def test_a_carriage_that_rests_is_a_level_line_whatever_the_arithmetic_leaves(sa
 
 
 def test_a_position_is_shown_in_the_unit_of_its_axis():
-    message = format_position("m", 0.0123456, 0.0125, -4).splitlines()
-    assert [line.split()[-2:] for line in message[:3]] == [["12.3456", "mm"], ["12.5000", "mm"], ["0.1544", "mm"]]
-    assert message[3].split() == ["lost", "steps", "-4"]
-    rotated = format_position("rad", radians(-30), radians(-30.5), 0).splitlines()
-    assert [line.split()[-2:] for line in rotated[:3]] == [["-30.0000", "deg"], ["-30.5000", "deg"], ["-0.5000", "deg"]]
+    assert format_readout("m", 0.0123456, 0.0125, -4) == ("12.3456 mm", "12.5000 mm", "0.1544 mm", "-4")
+    rotated = format_readout("rad", radians(-30), radians(-30.5), 0)
+    assert rotated == ("-30.0000 deg", "-30.5000 deg", "-0.5000 deg", "0")
 
 
 def test_a_carriage_is_out_of_its_travel_beyond_a_tenth_of_it_on_either_side():

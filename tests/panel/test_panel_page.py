@@ -41,6 +41,9 @@ def test_the_page_goes_back_and_to_power_up(browser):
     browser.click("back-1")
     browser.until(lambda: browser.time < at - 0.9)
     browser.click("reset")
+    browser.until(lambda: browser.text("reset-cancel"))  # it asks first
+    assert browser.time > 0
+    browser.click("reset-confirm")
     browser.until(lambda: browser.time == 0)
     browser.click("play")
 
@@ -103,14 +106,62 @@ def test_it_can_be_used_by_keyboard_alone(browser, address):
     browser.until(lambda: "stands still" not in browser.text("pace"))
 
 
+BOX = """const { top, bottom, left, right } = arguments[0].getBoundingClientRect();
+const height = document.documentElement.clientHeight;
+const hit = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+return { top, bottom, height, free: arguments[0].contains(hit) }"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1400, 900), (1024, 768)])
+def test_machine_oscilloscope_and_controls_are_visible_together(browser, width, height):
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        browser.driver.execute_script("scrollTo(0, 0)")
+        for name in ("scene", "readout", "scope", "chart", "procedures", "go-move", "stop", "stop-at-once"):
+            browser.until(lambda n=name: inside(browser.driver.execute_script(BOX, browser.find(n))))
+        assert browser.find("scene").rect["height"] >= 200
+        assert browser.find("trace").rect["height"] < 60, "the console is small until it is used"
+        browser.driver.execute_script("scrollTo(0, 1e6)")  # the long column leaves the machine where it is
+        for name in ("scene", "scope", "stop"):
+            browser.until(lambda n=name: inside(browser.driver.execute_script(BOX, browser.find(n))))
+        assert browser.text("chip-0").startswith("Front panel of x")
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def inside(box):
+    """Return whether an element is within the window."""
+    return box["top"] >= 0 and box["bottom"] <= box["height"]
+
+
+def test_stop_of_motion_and_freeze_of_the_picture_differ_in_words_colors_and_places(browser):
+    color = "return getComputedStyle(arguments[0]).backgroundColor + getComputedStyle(arguments[0]).color"
+    stop, freeze = browser.find("stop"), browser.find("run")
+    assert "Stop motion" in stop.text
+    assert "Freeze" in freeze.text
+    assert browser.driver.execute_script(color, stop) != browser.driver.execute_script(color, freeze)
+    within = "return arguments[0].contains(arguments[1])"
+    scope = browser.find("scope")
+    assert [browser.driver.execute_script(within, scope, button) for button in (stop, freeze)] == [False, True]
+
+
 def test_a_phone_shows_one_column(address, browser):
     driver = browser.driver
     driver.set_window_size(390, 844)
     try:
         width = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
         browser.until(lambda: driver.execute_script(width) <= 0)
-        left = [e.rect["x"] for e in driver.find_elements("css selector", ".machine, .desk")]
-        assert abs(left[0] - left[1]) < 2
+        parts = [browser.find(name).rect for name in ("machine", "procedures", "scope", "console-card", "chip-0")]
+        assert max(abs(part["x"] - parts[0]["x"]) for part in parts) < 4
+        assert [part["y"] for part in parts] == sorted(part["y"] for part in parts), "controls come after the machine"
+        for target in ("time", "chip-0"):  # the first and the last: stop is in reach everywhere
+            browser.scroll_to(target)
+            for stop in ("stop", "stop-at-once"):
+                box = driver.execute_script(BOX, browser.find(stop))
+                assert box["top"] > box["height"] - 70
+                assert box["bottom"] <= box["height"]
+                assert box["free"]
     finally:
         driver.set_window_size(1400, 1000)
 

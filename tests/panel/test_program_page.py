@@ -44,7 +44,7 @@ def test_a_program_is_shown_and_waits_while_it_is_suspended(open_browser):
         browser.until(lambda: "my program has the stage" in browser.text("program"))
         firmware.move(x, distance=0.003)  # in this thread, as anybody would
         browser.until(lambda: "start, ramp to FH1" in browser.text("trace"))
-        browser.until(lambda: re.search(r"commanded +3.0000", browser.text("place-x")))
+        browser.until(lambda: browser.text("commanded-x") == "3.0000 mm")
         at = stage.time
         go = browser.find("go-move")
         assert browser.driver.execute_script("return arguments[0].closest('[inert]') !== null", go)

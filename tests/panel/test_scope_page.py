@@ -16,13 +16,13 @@ LEVEL = 8000.0  # pulses a second
 def triggered(bench):
     """A move of 4 mm, caught by a single trigger at its rate."""
     browser = bench.browser
+    browser.choose("mode", "single")
     browser.type("level", f"{LEVEL:g}")
     browser.choose("span", "200 ms")
     browser.choose("source", "x pulse rate (pps)")
-    browser.choose("mode", "single")
     browser.until(lambda: browser.text("scope-state") == "waits for the trigger")
     bench.session.act("move", lambda stage: firmware.move(stage.axes["x"], 0.004)).result(60)
-    browser.until(lambda: browser.text("scope-state").startswith("stopped"))
+    browser.until(lambda: browser.text("scope-state").startswith("frozen"))
     return bench
 
 
@@ -41,7 +41,7 @@ def test_run_and_stop_hold_the_picture(triggered):
     browser.choose("mode", "no trigger")
     browser.until(lambda: browser.text("scope-state") == "running")
     browser.click("run")
-    browser.until(lambda: browser.text("scope-state").startswith("stopped"))
+    browser.until(lambda: browser.text("scope-state").startswith("frozen"))
     browser.click("run")
     browser.until(lambda: browser.text("scope-state") == "running")
 
@@ -49,9 +49,11 @@ def test_run_and_stop_hold_the_picture(triggered):
 @pytest.mark.parametrize("ending", ["csv", "png", "vcd", "rrd"])
 def test_a_file_of_the_window_comes_with_every_sample(triggered, ending):
     browser, sampler = triggered.browser, triggered.panel.sampler
-    if not browser.text("scope-state").startswith("stopped"):
+    if not browser.text("scope-state").startswith("frozen"):
         browser.click("run")
-        browser.until(lambda: browser.text("scope-state").startswith("stopped"))
+        browser.until(lambda: browser.text("scope-state").startswith("frozen"))
+    browser.click("export")
+    browser.until(lambda: browser.text(f"export-{ending}"))  # the menu has opened
     browser.click(f"export-{ending}")
     data = browser.downloaded(ending)
     if ending == "csv":

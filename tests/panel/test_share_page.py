@@ -50,9 +50,9 @@ def test_a_saved_panel_continues_in_another_process(panel_of, open_browser, tmp_
 
     other = open_browser(panel_of("--open", file, "--paused"))
     assert other.text("time") == first.text("time")
-    assert other.text("place-x") == first.text("place-x")
+    assert other.text("position-x") == first.text("position-x")
     assert "PCL240MS" in other.driver.page_source
     for browser in (first, other):
         browser.click("step")
     other.until(lambda: other.text("time") == first.text("time") != "")
-    assert other.text("place-x") == first.text("place-x")
+    assert other.text("position-x") == first.text("position-x")

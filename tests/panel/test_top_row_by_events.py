@@ -36,7 +36,7 @@ def inert(page, name):
 
 
 MACHINE = ("play", "speed", "payload")
-DRIVING = ("step", "back-1", "reset", "go-move", "console", "value-0-R1")
+DRIVING = ("step", "back-1", "reset", "reset-confirm", "stop", "stop-at-once", "go-move", "console", "value-0-R1")
 FREE_TO_ALL = ("dark", "save-panel", "tour-skip", "run")
 HIDDEN = {True: ("abandon", "recover"), False: ("take-over",)}
 """Nobody hears these before they are seen. True: they drive."""
@@ -158,6 +158,9 @@ def test_a_refused_way_back_is_reported(session, page):
 def test_power_up_resets_the_stage_and_the_stop_button_ends_an_action(session, page):
     session.do(lambda stage: (stage.place(x=0.01), session.run_unpaced(stage.run, 0.01)))
     page.click("reset")
+    page.settled()
+    assert session.do(lambda stage: stage.now) > 0, "it asks first"
+    page.click("reset-confirm")
     page.until(lambda: session.do(lambda stage: stage.now) == 0)
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0)
     assert not page.find("abandon").visible
@@ -241,7 +244,7 @@ def test_the_clock_and_the_pace_are_those_of_the_session(session, page):
 
 
 def test_the_tour_begins_when_it_is_opened_and_skips_steps(session, page):
-    page.put("tour", True)
+    page.click("tour")
     for k, title in enumerate(("First pulse", "Ramp")):
         page.until(lambda n=k, t=title: page.text("tour-title") == f"{n + 1} of 6: {t}")
         assert page.text("tour-task")
@@ -249,11 +252,12 @@ def test_the_tour_begins_when_it_is_opened_and_skips_steps(session, page):
     for _ in range(4):
         page.click("tour-skip")
     page.until(lambda: page.text("tour-skip") == "Begin again")
-    assert page.text("tour-title").startswith("That was all.")
+    assert page.text("tour-title").startswith("That was the tour.")
+    assert len([e for e in page._all() if str(e.props.get("data-test")).startswith("tour-then-")]) == 3
     page.click("tour-skip")
     page.until(lambda: page.text("tour-title") == "1 of 6: First pulse")
     observers = len(session._observers)
-    page.put("tour", False)
+    page.click("tour")
     assert len(session._observers) == observers - 1
 
 

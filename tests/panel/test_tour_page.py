@@ -1,48 +1,60 @@
-"""The tour, by what the page offers, to its end: each step waits until somebody has done it with his own hands."""
+"""The tour in a real browser: the first visit opens it, and each card fills in a form and waits until its button was pressed."""
 
 import pytest
 
+from stage.panel.tour import STEPS
+
 pytestmark = pytest.mark.slow
 
+PLACES = """return ['tour-target', 'tour-press', 'tour-card'].map((name) => {
+  const found = document.querySelectorAll('.' + name);
+  const { left, right, top, bottom } = found[0].getBoundingClientRect();
+  return [found.length, found[0].dataset.test ?? '', [left, right, top, bottom]];
+})"""
 
-def waits_for(browser, title):
+
+def wait_for_card(browser, title):
     browser.until(lambda: title in browser.text("tour-title"))
 
 
-def go(bench, form, **values):
-    """Fill a form and press its button; the report says that it is over."""
-    browser = bench.browser
-    browser.click(f"tab-{form}")
-    for name, value in values.items():
-        browser.type(f"{form}-{name}", value)
-    browser.click(f"go-{form}")
-    browser.until(lambda: "lost steps" in browser.text("report") or "stopped" in browser.text("report"))
-    browser.until(lambda: bench.session.view.action == "")
+def overlaps(a, b):
+    return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
 
 
-def test_each_step_is_done_by_hand(bench):
+def test_the_first_visit_opens_the_tour_and_the_second_does_not(bench, open_browser):
+    bench.browser.driver.get("about:blank")  # the controls go to the next browser
+    try:
+        visitor = open_browser(bench.panel.address, is_first_visit=True)
+        wait_for_card(visitor, "1 of 6: First pulse")
+        visitor.open(bench.panel.address)
+        assert not visitor.find("tour-title").is_displayed()
+        visitor.click("tour")
+        wait_for_card(visitor, "1 of 6: First pulse")
+        visitor.click("tour-close")
+        visitor.until(lambda: not visitor.find("tour-title").is_displayed())
+    finally:
+        visitor.close()
+        bench.browser.open(bench.panel.address)
+
+
+def test_each_card_fills_in_a_form_and_is_confirmed_after_its_button(bench):
     browser = bench.browser
-    bench.session.speed = 2.0
+    browser.driver.set_window_size(1400, 1000)
     browser.click("tour")
-    waits_for(browser, "1 of 6: First pulse")
-    assert "Move, 1 mm" in browser.text("tour-task")
-    go(bench, "move", distance="1")
-    waits_for(browser, "2 of 6: Ramp")
-    go(bench, "move", distance="40")
-    waits_for(browser, "3 of 6: Stall")
-    assert bench.x("lost_steps") == 0
-    go(bench, "move", distance="-40", speed="600", start_speed="300", accel="0.02")
-    waits_for(browser, "4 of 6: Origin return")
-    assert bench.x("lost_steps") != 0
-    bench.session.speed = 5.0
-    go(bench, "home")
-    waits_for(browser, "5 of 6: Dual rate")
-    bench.session.speed = 2.0
-    go(bench, "two_rates", distance="60")
-    waits_for(browser, "6 of 6: Synchronized move")
-    go(bench, "line", x="30", y="10")
-    waits_for(browser, "That was all")
-    assert browser.text("tour-task") == ""
-    browser.until(lambda: browser.text("tour-skip") == "Begin again")
-    browser.click("tour-skip")
-    waits_for(browser, "1 of 6")
+    for k, step in enumerate(STEPS):
+        wait_for_card(browser, f"{k + 1} of 6: {step.title}")
+        for field, text in step.texts.items():
+            browser.until(lambda s=step, f=field, t=text: browser.value(f"{s.form}-{f}") == t)
+        marks = browser.until(lambda s=step: browser.driver.execute_script(PLACES))
+        assert [(count, name) for count, name, _ in marks[:2]] == [(1, step.shown_by), (1, f"go-{step.form}")]
+        assert not overlaps(marks[2][2], marks[1][2]), "the card leaves its button free"
+        bench.session.speed = 5.0 if step.form == "home" else 2.0
+        browser.click(f"go-{step.form}")
+        wait_for_card(browser, f"Done: {step.title}")
+        assert step.sheet in browser.text("tour-task")
+        browser.until(lambda: bench.session.view.action == "")
+        browser.click("tour-next")
+    wait_for_card(browser, "That was the tour")
+    browser.click("tour-then-hands")
+    browser.until(lambda: browser.find("breaking").is_displayed())
+    assert not browser.find("tour-title").is_displayed()

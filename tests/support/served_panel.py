@@ -21,9 +21,9 @@ class ServedPanel:
         self.panel = Panel(self.session)
         self._visitors: list[Visitor] = []
 
-    def visit(self) -> Visitor:
-        """Open the page once more."""
-        self._visitors.append(Visitor(self.panel))
+    def visit(self, is_first_visit: bool = False) -> Visitor:
+        """Open the page once more; a first visit has no cookie of the page."""
+        self._visitors.append(Visitor(self.panel, is_first_visit))
         return self._visitors[-1]
 
     def leave(self, but: int = 0) -> None:

@@ -17,12 +17,13 @@ class Visitor:
     """Comes to a panel in the process of the tests. What it does goes through the server's own door for events, gate and all; it
     draws nothing. `said`: what `ui.notify` has shown; `sent`: downloads, (name, bytes); both oldest first."""
 
-    def __init__(self, panel: Any):
+    def __init__(self, panel: Any, is_first_visit: bool = False):
         from nicegui import Client
 
         self.panel, self._loop = panel, panel._site.loop
         before = set(Client.instances)
-        urllib.request.urlopen(panel.address, timeout=10).read()
+        cookies = {} if is_first_visit else {"Cookie": "pulsestage_tour=seen"}
+        urllib.request.urlopen(urllib.request.Request(panel.address, headers=cookies), timeout=10).read()
         (new,) = set(Client.instances) - before
         self.client = Client.instances[new]
         self.said: list[str] = []
