@@ -115,7 +115,6 @@ def test_chips_on_one_wire_reply_at_their_address_alone(tmp_path):
 def test_two_chips_of_one_address_reply_at_once_and_zeros_win(tmp_path):
     stage = make_stage_with_addresses()
     stage.axes["y"].chip.pins.ms1 = False
-    stage.axes["x"].chip.write_register("CHOPCONF", 0x10000053)
     stage.axes["y"].chip.write_register("CHOPCONF", 0x14000035)
     _, log, problems = run_firmware(tmp_path, "read_register(0, 0x6C);", WIRE, stage)
     reply = bytes.fromhex(log[0])[4:]
@@ -130,6 +129,7 @@ def test_a_chip_hears_the_reply_of_another_as_a_damaged_request(tmp_path):
     )
     assert len(log[1]) == 24  # the line was idle for 12 bits, so the chip listens again
     assert stage.axes["z"].chip.state["lost_sync"]
+    assert [d.key for d in stage.axes["z"].chip.diagnostics] == ["tmc2209-senddelay"]
 
 
 def test_a_request_just_after_the_reply_of_another_chip_is_lost(tmp_path):

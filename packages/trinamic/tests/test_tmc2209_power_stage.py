@@ -11,7 +11,7 @@ from stage.board.pin_assignment import parse_pins
 from stage.errors import ArgumentError
 from stage.testing import power_stage_conformance
 
-CHOPCONF = 0x10000053
+CHOPCONF = 0x10010053
 FULL_STEP_M = 10e-3 / 200
 CLOCK_NS = 1e9 / 12e6
 
@@ -170,7 +170,7 @@ def test_pdn_uart_or_pdn_disable_reduces_the_current_at_rest(pdn_disable, pdn, c
 def test_freewheel_at_ihold_0_switches_the_motor_off_in_stealth_chop():
     chip = TMC2209()
     chip.write_register("IHOLD_IRUN", 31 << 8)
-    chip.write_register("PWMCONF", 0xC10D0024 | 1 << 20)
+    chip.write_register("PWMCONF", 0xC80D0E24 | 1 << 20)
     chip.advance(3 * 10**9)
     assert chip.amplitude == 0
     assert "FREEWHEEL" in chip.explain_missing_current()

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 from tmc2209_reference.line import Chip, divide_to_crc
-from tmc2209_reference.registers import REGISTERS
+from tmc2209_reference.registers import EVIDENCE, FIELDS, REGISTERS
 
 from pulsestage_trinamic.tmc2209 import TMC2209, maps
 from pulsestage_trinamic.tmc2209.uart_port import build_read, build_write, compute_crc
@@ -51,6 +51,18 @@ def test_names_access_and_resets_are_those_of_the_data_sheet():
             assert ours[number][3] == reset, name
 
 
+def test_fields_and_their_evidence_are_those_of_the_data_sheet():
+    for register in maps.DRIVER_REGISTERS:
+        ours = {f.name: (f.low, f.high, f.evidence) for f in register.fields}
+        theirs = {}
+        for text in filter(None, FIELDS.get(register.name, "").split(", ")):
+            name, bits = text.split()
+            low, _, high = bits.partition("-")
+            theirs[name] = (int(low), int(high or low), EVIDENCE.get(name, "S"))
+        assert ours == theirs, register.name
+        assert register.evidence == "S"
+
+
 def test_every_register_reads_as_its_access_allows_after_a_reset():
     chip = TMC2209()
     for number, (name, access, _, reset) in REGISTERS.items():
@@ -71,6 +83,16 @@ def test_a_write_stores_the_register_s_bits_and_counts_in_ifcnt():
         assert read_register(chip, 0x02) == count, name
         if access == "RW":
             assert read_register(chip, number) == value % (1 << bits), name
+
+
+def test_both_edges_of_step_with_the_filter_on_have_a_diagnostic():
+    chip = TMC2209()
+    chip.write_register("CHOPCONF", 0x30010053)
+    assert [d.key for d in chip.diagnostics] == ["tmc2209-dedge-filter"]
+    chip.write_register("CHOPCONF", 0x10010053)
+    chip.write_register("GCONF", 0)
+    chip.write_register("CHOPCONF", 0x30010053)
+    assert len(chip.diagnostics) == 1
 
 
 def test_the_sync_nibble_alone_counts_and_its_reserved_bits_are_in_the_crc():

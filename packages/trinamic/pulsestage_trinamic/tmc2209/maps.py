@@ -84,19 +84,27 @@ _PWMCONF = _make_fields(
     ("21..20", "freewheel", "at IHOLD 0: 0 normal, 1 free, 2 and 3 braked"), ("27..24", "pwm_reg", "regulation"),
     ("31..28", "pwm_lim", "limit"),
 )  # fmt: skip
+_OTP_PROG = _make_fields(("2..0", "otpbit", "bit"), ("5..4", "otpbyte", "byte"), ("15..8", "otpmagic", "BDh programs"))
 _OTP_READ = _make_fields(
-    ("4..0", "otp_fclktrim", "clock trim", "I"), ("7..7", "otp_internal_rsense", "internal sense resistors")
-)
+    ("4..0", "otp_fclktrim", "clock trim"), (5, "otp_ottrim", "overtemperature threshold"),
+    (6, "otp_internal_rsense", "internal sense resistors"), (7, "otp_tbl", "TBL 1, not 2"),
+    ("11..8", "otp_pwm_grad", "PWM_GRAD, 0: 14"), (12, "otp_pwm_autograd", "pwm_autograd off"),
+    ("15..13", "otp_tpwmthrs", "TPWMTHRS, 0: 0"), (16, "otp_pwm_ofs", "PWM_OFS 0, not 36"), (17, "otp_pwm_reg", "PWM_REG 2, not 8"),
+    (18, "otp_pwm_freq", "PWM_FREQ 2, not 1"), ("20..19", "otp_iholddelay", "IHOLDDELAY, 0: 1"),
+    ("22..21", "otp_ihold", "IHOLD, 0: 16"), (23, "otp_en_spreadcycle", "SpreadCycle; bits 16..8 are then CHOPCONF 8..0"),
+)  # fmt: skip
+
+OTP_RESET = "after a reset as a blank OTP sets it, and as chips are read (C); the register table prints {}"
 
 DRIVER_REGISTERS = (
     _make_register(0x00, "GCONF", "RW", 10, "global configuration", _GCONF, reset=0x101),
     _make_register(0x01, "GSTAT", "RW", 3, "global status, a 1 written clears", _GSTAT, reset=1),
     _make_register(0x02, "IFCNT", "R", 8, "UART writes, modulo 256"),
     _make_register(0x03, "SLAVECONF", "W", 12, "delay of replies", _SLAVECONF),
-    _make_register(0x04, "OTP_PROG", "W", 16, "OTP programming", note="stored only: the OTP is blank"),
-    _make_register(0x05, "OTP_READ", "R", 24, "OTP content", _OTP_READ, evidence="I"),
+    _make_register(0x04, "OTP_PROG", "W", 16, "OTP programming", _OTP_PROG, note="stored only: the OTP is blank"),
+    _make_register(0x05, "OTP_READ", "R", 24, "OTP content", _OTP_READ),
     _make_register(0x06, "IOIN", "R", 32, "pin levels and version", _IOIN),
-    _make_register(0x07, "FACTORY_CONF", "RW", 10, "clock trim", _FACTORY_CONF, evidence="I", note="stored only"),
+    _make_register(0x07, "FACTORY_CONF", "RW", 10, "clock trim", _FACTORY_CONF, note="stored only"),
     _make_register(0x10, "IHOLD_IRUN", "W", 20, "currents", _IHOLD_IRUN, reset=0x11F10),
     _make_register(0x11, "TPOWERDOWN", "W", 8, "delay before the current falls", reset=20, unit="x 2^18 clocks"),
     _make_register(0x12, "TSTEP", "R", 20, "clocks per 1/256 step", unit="clocks"),
@@ -108,14 +116,15 @@ DRIVER_REGISTERS = (
     _make_register(0x42, "COOLCONF", "W", 16, "CoolStep", _COOLCONF),
     _make_register(0x6A, "MSCNT", "R", 10, "microstep counter"),
     _make_register(0x6B, "MSCURACT", "R", 25, "microstep currents",
-       _make_fields(("8..0", "cur_a", "phase A, signed"), ("24..16", "cur_b", "phase B, signed"))),
-    _make_register(0x6C, "CHOPCONF", "RW", 32, "chopper", _CHOPCONF, reset=0x10000053),
+       _make_fields(("8..0", "cur_a", "phase A, signed", "?"), ("24..16", "cur_b", "phase B, signed", "?")),
+       note="revision 1.03 and the vendor's header put phase A in the low bits, revision 1.09 phase B"),
+    _make_register(0x6C, "CHOPCONF", "RW", 32, "chopper", _CHOPCONF, reset=0x10010053, note=OTP_RESET.format("10000053h")),
     _make_register(0x6F, "DRV_STATUS", "R", 32, "driver status", _DRV_STATUS),
-    _make_register(0x70, "PWMCONF", "RW", 32, "StealthChop", _PWMCONF, reset=0xC10D0024),
+    _make_register(0x70, "PWMCONF", "RW", 32, "StealthChop", _PWMCONF, reset=0xC80D0E24, note=OTP_RESET.format("C10D0024h")),
     _make_register(0x71, "PWM_SCALE", "R", 25, "StealthChop amplitude",
-       _make_fields(("7..0", "pwm_scale_sum", "duty cycle / 256", "I"), ("24..16", "pwm_scale_auto", "correction, signed", "I"))),
+       _make_fields(("7..0", "pwm_scale_sum", "duty cycle / 256"), ("24..16", "pwm_scale_auto", "correction, signed"))),
     _make_register(0x72, "PWM_AUTO", "R", 24, "StealthChop automatic values",
-       _make_fields(("7..0", "pwm_ofs_auto", "offset", "I"), ("23..16", "pwm_grad_auto", "gradient", "I"))),
+       _make_fields(("7..0", "pwm_ofs_auto", "offset"), ("23..16", "pwm_grad_auto", "gradient"))),
 )  # fmt: skip
 """The registers of the chip at their own numbers, for the UART."""
 
