@@ -36,6 +36,8 @@ PULLED = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
 SWITCHES = ("limit", "limit_plus", "limit_minus", "origin")
 """Lines that stand for switches of the stage."""
+DIAGNOSES = ("diag", "diag0", "diag1")
+"""Outputs of power stages that tell of a stall or a fault."""
 _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
 
 
@@ -147,7 +149,7 @@ def _name_pin(pin: int, has_numbers: bool, has_ports: bool) -> str:
 def _find_unread_switches(
     table: np.ndarray, lines: Sequence[PinLine], reads: np.ndarray, stage: Stage
 ) -> Iterable[WiringFinding]:
-    """Yield a remark about each asserted switch of an axis with lost steps whose pin the program has never read.
+    """Yield a remark about each asserted switch, and each stall output, of an axis with lost steps that the program never read.
 
     Args:
         table: LINE records as the firmware has them.
@@ -158,10 +160,11 @@ def _find_unread_switches(
     for row in sorted(table, key=lambda row: int(row["place"])):
         line = lines[row["place"]]
         axis = stage.axes[line.axis]
-        is_asserted = int(axis.chip.state["inputs"]) & line.get_mask(axis.chip)
-        if line.line in SWITCHES and axis.lost_steps and is_asserted and not reads[row["pin"]]:
+        is_at_switch = line.line in SWITCHES and axis.chip.input_word(axis.chip_axis) & line.get_mask(axis.chip)
+        if (is_at_switch or line.line in DIAGNOSES) and axis.lost_steps and not reads[row["pin"]]:
+            where = " at a switch" if is_at_switch else ""
             text = (
-                f"{line.axis} has lost steps at a switch, and the program never read {line.axis}.{line.line} = {line.pin}: does it "
-                "read the switch at another pin?"
+                f"{line.axis} has lost steps{where}, and the program never read {line.axis}.{line.line} = {line.pin}: does it "
+                f"read the {'switch' if is_at_switch else 'output'} at another pin?"
             )
             yield WiringFinding(line.axis, text, is_problem=False)

@@ -21,7 +21,7 @@ from pulsestage_trinamic.tmc2209.cycle_descriptions import CycleDescriber, Decod
 from pulsestage_trinamic.tmc2209.maps import MAP
 from pulsestage_trinamic.tmc2209.state import MS1, MS2
 from pulsestage_trinamic.tmc2209.uart_port import UartPort
-from stage.chips.diagnostics import Finding
+from stage.chips.diagnostics import Diagnostic, Finding
 from stage.chips.stepdir.line_names import Line
 from stage.errors import ArgumentError
 
@@ -92,6 +92,17 @@ class TMC2209(StepDirRegisters):
         full_scale = power_stage.FULL_SCALE_V / (self.rsense + power_stage.INTERNAL_OHM)
         c["vref"] = min(1.0, drive.amplitude / full_scale)
         c["ir_share"] = drive.motor.resistance / drive.bus_voltage
+
+    @property
+    def diagnostics(self) -> list[Diagnostic]:
+        """Messages about writes that break a rule, about datagrams that did nothing, and about settings that exclude each other.
+
+        Datagrams of one kind have one message.
+        """
+        diagnostics = super().diagnostics
+        for clock, finding in lint.find_mistakes(self.state, self.uart.address):
+            self.diagnose(clock, maps.UART_BYTE, 0, [finding])
+        return diagnostics
 
     # --- load and current ---
 

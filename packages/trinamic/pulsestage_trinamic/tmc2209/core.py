@@ -91,7 +91,7 @@ def write(c, address, value):
     elif address == maps.UART_BIT_NS:
         c.bit_ns = greatest(1, value)
     elif address == maps.UART_OTHER:
-        uart.receive_byte(c, value & 0xFF)
+        uart.receive_byte(c, value & 0xFF, False)
     elif address < len(c.reg):
         before = c.inputs
         step_timer.write_register(c, address, value)

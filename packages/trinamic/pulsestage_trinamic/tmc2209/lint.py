@@ -1,4 +1,4 @@
-"""Diagnostics of a TMC2209 axis: writes of registers that do not do what they seem to. UART datagrams are checked when they act."""
+"""Diagnostics of a TMC2209 axis: writes of registers that do not do what they seem to, and datagrams that do nothing."""
 
 from __future__ import annotations
 
@@ -8,12 +8,33 @@ from typing import Any
 from pulsestage_trinamic.tmc2209 import maps, state
 from stage.chips.diagnostics import Finding, Rule
 from stage.chips.stepdir.lint import lint_write as lint_step_timer
+from stage.chips.stepdir.maps import CONTROL_ADDRESS
+from stage.chips.stepdir.step_timer import GO
 
 NO_REGISTER = Rule("tmc2209-no-register", "section 5")
 READ_ONLY = Rule("tmc2209-read-only", "section 5")
-MRES_UNUSED = Rule("tmc2209-mres-unused", "section 5.5.1")
+MRES_UNUSED = Rule("tmc2209-mres-unused", "section 5.5.1", once=True)
+MRES_TEXT = "MRES has no effect while GCONF.mstep_reg_select is 0: MS1 and MS2 select the microsteps"
 DEDGE_FILTERED = Rule("tmc2209-dedge-filter", "section 5.5.1")
 NOT_MODELED = Rule("tmc2209-not-modeled", "tmc2209_sheet.md", once=True)
+VELOCITY_ON = Rule("tmc2209-vactual", "section 5.2, VACTUAL")
+
+
+def _make_uart_rule(name: str, section: str) -> Rule:
+    return Rule(f"tmc2209-uart-{name}", f"section {section}", once=True)
+
+
+UART_MISTAKES = {
+    state.BAD_RATE: (_make_uart_rule("rate", "4.3"), "the chip does not understand a bit time of {} ns"),
+    state.BAD_SYNC: (_make_uart_rule("sync", "4.1"), "a datagram begins with 5 in the low bits, not with {:02X}h"),
+    state.BAD_CRC: (_make_uart_rule("crc", "4.2"), "wrong CRC of a datagram for register {:02X}h"),
+    state.NO_REGISTER: (_make_uart_rule("register", "5"), "a write by UART to {:02X}h, where is no register"),
+    state.READ_ONLY: (_make_uart_rule("read-only", "5"), "a write by UART to {:02X}h, which can only be read"),
+}
+"""Rules that datagrams break, and messages about them."""
+ADDRESS = _make_uart_rule("address", "4.1")
+PDN_ENABLED = Rule("tmc2209-pdn-disable", "section 4.1", once=True)
+NO_STALL_OUTPUT = Rule("tmc2209-no-stall-output", "section 11", once=True)
 SENDDELAY_ZERO = Rule("tmc2209-senddelay", "section 5.1, SLAVECONF", once=True)
 MRES, SENDDELAY = maps.MAP.mask("CHOPCONF", "mres"), maps.MAP.field("SLAVECONF", "senddelay")
 MULTISTEP_FILTER = maps.MAP.mask("GCONF", "multistep_filt")
@@ -27,6 +48,8 @@ def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
         address: Bus address.
         value: Datum.
     """
+    if address == CONTROL_ADDRESS and value & GO and c["registers"][state.VACTUAL]:
+        yield VELOCITY_ON, "the chip ignores STEP: VACTUAL is not 0, so it makes its own steps"
     if address < maps.UART_BYTE:
         yield from lint_step_timer(c, address, value)
     if address == maps.UART_OTHER and int(c["registers"][state.SLAVECONF]) >> SENDDELAY.low < 2:
@@ -42,11 +65,37 @@ def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
         yield NO_REGISTER, f"there is no register at {number:02X}h"
 
 
+def find_mistakes(c: Any, address: int) -> Iterator[tuple[int, Finding]]:
+    """Yield clock, rule and message of what a host has done wrong so far, as the state shows it.
+
+    Args:
+        c: State of the chip.
+        address: UART address of the chip.
+    """
+    clock, gconf = int(c["clock"]), int(c["registers"][state.GCONF])
+    for kind, (rule, text) in UART_MISTAKES.items():
+        if c["mistakes"][kind]:
+            yield int(c["mistake_clock"][kind]), (rule, text.format(int(c["mistake_detail"][kind])))
+    if c["mistakes"][state.OTHER_ADDRESS] and not (c["datagrams"] or c["others"]):
+        other = int(c["mistake_detail"][state.OTHER_ADDRESS])
+        message = f"datagrams came for address {other}, and none for that of this chip, {address} (MS1 + 2 MS2)"
+        yield int(c["mistake_clock"][state.OTHER_ADDRESS]), (ADDRESS, message)
+    if c["datagrams"] and not gconf & state.PDN_DISABLE:
+        yield clock, (PDN_ENABLED, "with the UART in use the current does not fall to IHOLD: set GCONF.pdn_disable")
+    if int(c["registers"][state.CHOPCONF]) & MRES and not gconf & state.MSTEP_REG_SELECT:
+        yield clock, (MRES_UNUSED, MRES_TEXT)
+    if c["registers"][state.SGTHRS] and c["moves"]:
+        is_spread = bool(gconf & state.EN_SPREADCYCLE) != bool(int(c["inputs"]) & state.SPREAD)
+        if is_spread or not c["registers"][state.TCOOLTHRS]:
+            cause = "SpreadCycle is selected" if is_spread else "TCOOLTHRS is 0"
+            yield clock, (NO_STALL_OUTPUT, f"SGTHRS is set, and DIAG never shows a stall: {cause}")
+
+
 def _lint_register(c: Any, number: int, value: int) -> Iterator[Finding]:
     changed, gconf = value ^ int(c["registers"][number]), int(c["registers"][state.GCONF])
     if number == state.CHOPCONF and changed & value & state.DEDGE and gconf & MULTISTEP_FILTER:
         yield DEDGE_FILTERED, "DEDGE needs GCONF.multistep_filt to be 0, and it is 1 after a reset"
     if number == state.CHOPCONF and changed & MRES and not gconf & state.MSTEP_REG_SELECT:
-        yield MRES_UNUSED, "MRES has no effect while GCONF.mstep_reg_select is 0: MS1 and MS2 select the microsteps"
+        yield MRES_UNUSED, MRES_TEXT
     if number == state.GCONF and value & maps.MAP.mask("GCONF", "internal_rsense"):
         yield NOT_MODELED, "internal sense resistors are not modeled: the current stays that of the external ones"

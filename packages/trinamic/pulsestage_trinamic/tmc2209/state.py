@@ -11,6 +11,9 @@ NEVER = lines.NEVER
 QUEUE = 64
 """Bytes on their way to the chip, and bytes that it has sent and nobody has read."""
 DATAGRAM = 8
+MISTAKES = 6
+BAD_RATE, BAD_SYNC, BAD_CRC, OTHER_ADDRESS, NO_REGISTER, READ_ONLY = range(MISTAKES)
+"""Kinds of datagrams of the host that do nothing, for diagnostics."""
 MAX_TSTEP = 0xFFFFF
 
 STATE = record(
@@ -71,6 +74,11 @@ STATE = record(
         ("to_host", "i8", (QUEUE,)),  # bytes of the chip
         ("sent", "i8"),  # how many
         ("collected", "i8"),  # how many of them the host has read
+        ("datagrams", "i8"),  # datagrams of the host for this chip
+        ("others", "i8"),  # bytes of other chips on the wire
+        ("mistakes", "i8", (MISTAKES,)),  # number of each kind since power-up, see BAD_RATE
+        ("mistake_clock", "i8", (MISTAKES,)),  # clock of the first of each kind
+        ("mistake_detail", "i8", (MISTAKES,)),  # its byte, address or register
     ]
 )
 """One axis."""

@@ -6,7 +6,7 @@ rate within its range needs no setting; it replies at the same rate.
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc2209 import registers, state
+from pulsestage_trinamic.tmc2209 import maps, power_stage, registers, state
 from stage.native import greatest, hot
 
 BYTE_BITS = 10
@@ -42,6 +42,9 @@ def clear(c):
     c.received = c.lost_sync = 0
     c.byte_begin = c.byte_end = -state.NEVER
     c.replied, c.replies = state.DATAGRAM, state.NEVER
+    c.datagrams = c.others = 0
+    for kind in range(state.MISTAKES):
+        c.mistakes[kind] = 0
 
 
 @hot
@@ -76,7 +79,7 @@ def process_event(c):
     if c.clock >= c.arrives:
         byte = c.to_chip[c.delivered % state.QUEUE]
         c.delivered += 1
-        receive_byte(c, byte)
+        receive_byte(c, byte, True)
         c.arrives = c.clock + BYTE_BITS * compute_bit_clocks(c) if c.queued > c.delivered else state.NEVER
     elif c.clock >= c.replies:
         _send_reply_byte(c)
@@ -88,8 +91,24 @@ def _is_rate_understood(c, bits):
 
 
 @hot
-def receive_byte(c, byte):
-    """Take a byte whose stop bit ends now."""
+def _note_mistake(c, kind, detail):
+    """Count a datagram or byte that does nothing."""
+    if c.mistakes[kind] == 0:
+        c.mistake_clock[kind], c.mistake_detail[kind] = c.clock, detail
+    c.mistakes[kind] += 1
+
+
+@hot
+def _raise_line(c):
+    """Raise PDN_UART: the line is high while it is idle, and the current then stays at IRUN without pdn_disable."""
+    if not c.inputs & state.PDN:
+        c.inputs |= state.PDN
+        power_stage.apply_current_registers(c)
+
+
+@hot
+def receive_byte(c, byte, is_of_host):
+    """Take a byte whose stop bit ends now, of the host or of another chip."""
     bits = compute_bit_clocks(c)
     begin = c.clock - BYTE_BITS * bits
     if c.received and begin - c.byte_begin > PAUSE_BITS * bits:
@@ -97,11 +116,18 @@ def receive_byte(c, byte):
     if c.lost_sync and begin - c.byte_end >= RECOVERY_BITS * bits:
         c.lost_sync = 0
     c.byte_begin, c.byte_end = begin, c.clock
-    c.inputs |= state.PDN  # the line is high while it is idle
-    if c.lost_sync or c.replied < state.DATAGRAM or not _is_rate_understood(c, bits):
+    _raise_line(c)
+    if not is_of_host:
+        c.others += 1
+    if not _is_rate_understood(c, bits):
+        _note_mistake(c, state.BAD_RATE, c.bit_ns)
+        return
+    if c.lost_sync or c.replied < state.DATAGRAM:
         return
     if c.received == 0 and byte & 0xF != SYNC:
         c.lost_sync = 1
+        if is_of_host:
+            _note_mistake(c, state.BAD_SYNC, byte)
         return
     c.datagram[c.received] = byte
     c.received += 1
@@ -110,25 +136,32 @@ def receive_byte(c, byte):
     size = WRITE_SIZE if c.datagram[2] & WRITE_BIT else READ_SIZE
     if c.received == size:
         c.received = 0
-        _execute(c, size, bits)
+        _execute(c, size, bits, is_of_host)
 
 
 @hot
-def _execute(c, size, bits):
+def _execute(c, size, bits, is_of_host):
     """Execute a whole datagram, if its CRC is right and it is for this chip."""
     crc = 0
     for k in range(size - 1):
         crc = add_to_crc(crc, c.datagram[k])
     if crc != c.datagram[size - 1]:
         c.lost_sync = 1
+        if is_of_host:
+            _note_mistake(c, state.BAD_CRC, c.datagram[2])
         return
     address = (1 if c.inputs & state.MS1 else 0) | (2 if c.inputs & state.MS2 else 0)
     if c.datagram[1] != address:
+        if is_of_host:
+            _note_mistake(c, state.OTHER_ADDRESS, c.datagram[1])
         return
+    c.datagrams += 1
     register = c.datagram[2] & 0x7F
     if size == WRITE_SIZE:
         value = c.datagram[3] << 24 | c.datagram[4] << 16 | c.datagram[5] << 8 | c.datagram[6]
         c.ifcnt = c.ifcnt + 1 & 0xFF
+        if maps.STORED_BITS[register] == 0:
+            _note_mistake(c, state.READ_ONLY if maps.IS_READABLE[register] else state.NO_REGISTER, register)
         registers.write_register(c, register, value)
         return
     _prepare_reply(c, register, registers.read_register(c, register))
