@@ -8,8 +8,8 @@ family: its line programs in stage/firmware write the registers and start the ax
     MCX514, MCX312    linear interpolation by the chip if it has all axes; it takes the speeds of one axis and all finish points.
     MCX304, MCX302    the a:b scheme by ranges: R in inverse ratio to the distances. The axes of a chip start at one clock. An
                       MCX312 with axes on two chips does the same.
-    others            as the `lines` of their driver define it: a TMC5160 by velocities and accelerations in the ratio of the
-                      distances; a write to XTARGET starts each axis.
+    others            as the `lines` of their driver define it, for example by velocities and accelerations in the ratio of the
+                      distances.
 
 action        flat, the registers of the first axis, then of the next: PCL-240 R1 R2 R4 R5 R6 R7, MCX304 and MCX302 R SV V A, with
               S-curves K. A chip that interpolates has one row for all axes: MCX514 SV DV AC, with S-curves JK, MCX312 SV V A,
