@@ -167,7 +167,7 @@ bench: .venv/.dev
 
 results: .venv/.dev
 	$(BIN)/python -m pip install -q -e '.[rl,plot,data]' -e ./packages/registerbench
-	$(BIN)/python -m registerbench.baselines.results
+	$(BIN)/python -m registerbench.baselines.baseline_comparison
 
 pictures: .venv/.dev
 	$(BIN)/stage demo --no-window --force --picture docs/pictures/dashboard.png

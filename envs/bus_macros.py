@@ -56,8 +56,8 @@ import gymnasium
 import numpy as np
 
 from stage.envs import machine_contexts, machine_faults
-from stage.envs.bus_host import AXIS, EPISODE, SWITCHES, BusHost
-from stage.envs.hidden_machines import MachineSettings
+from stage.envs.bus_macros_host import AXIS, EPISODE, SWITCHES, BusHost
+from stage.envs.hidden_machine_task import MachineSettings
 from stage.envs.macro_programs import RATES, MacroTable
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch

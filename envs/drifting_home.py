@@ -42,7 +42,7 @@ import gymnasium
 import numpy as np
 
 from stage.envs import machine_contexts, machine_faults
-from stage.envs.hidden_machines import MachineSettings, MachineTask
+from stage.envs.hidden_machine_task import MachineSettings, MachineTask
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
 from stage.envs.settings import AxisName, Count, NumberSetting, Pair, Positive, RangeSetting, Seconds, Weight

@@ -42,7 +42,7 @@ import numpy as np
 
 from stage import Stage
 from stage.envs import machine_contexts
-from stage.envs.hidden_machines import MachineSettings, MachineTask
+from stage.envs.hidden_machine_task import MachineSettings, MachineTask
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.scaling import scale_log
 from stage.envs.settings import (

@@ -5,7 +5,7 @@
     draw_context(rng, ranges, context, options)
     NominalMachine.from_stage(stage, "x", carrier).apply(stage, context)
 
-A context includes the fault of the machine, which machine_faults.py draws and makes. hidden_machines.py has the common part of
+A context includes the fault of the machine, which machine_faults.py draws and makes. hidden_machine_task.py has the common part of
 all tasks on hidden machines. A snapshot of a stage contains only two values of a context, the current and the inductance of the
 drive. The task applies the context again after it has restored a stage.
 """

@@ -23,7 +23,7 @@ from stage.board import Board
 from stage.chips import chip_class
 from stage.cli import main
 from stage.testing import chip_conformance
-from stage.testing.chip_acts import draw_move
+from stage.testing.chip_actions import draw_move
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ from support.odd_names import odd_model
 from stage import ArgumentError
 from stage.cli import main
 from stage.cli.export import split_columns
-from stage.support.axis_values import parse_chips, parse_syni, parse_wiring
+from stage.support.axis_value_parsing import parse_chips, parse_syni, parse_wiring
 
 NAMES = ("a=b", "a,b", "a.b", "x")
 

@@ -10,7 +10,7 @@ import pytest
 from support.extras import needs_rerun
 
 from stage.cli import build_parser, main
-from stage.cli.commands import to_json, warn
+from stage.cli.command_interface import to_json, warn
 from stage.cli.package_commands import KNOWN_PACKAGES
 
 CHECKS = {

@@ -12,7 +12,7 @@ import pytest
 import stage
 from stage import ArgumentError
 from stage.cli import main
-from stage.native import index_page
+from stage.native import package_index_readme
 from stage.support import examples
 from stage.support.files import FileError
 
@@ -91,7 +91,7 @@ def test_a_copied_program_needs_nothing_of_the_repository(name, tmp_path):
 
 def test_the_page_for_the_package_index_has_absolute_links_only():
     readme = (ROOT / "README.md").read_text()
-    page = index_page.make_index_page(readme, PROJECT["urls"]["Source"], "v1.2.3")
+    page = package_index_readme.make_index_page(readme, PROJECT["urls"]["Source"], "v1.2.3")
     links = re.findall(r"\]\(([^)]*)\)", re.sub(r"^```.*?^```", "", page, flags=re.M | re.S))
     assert len(links) > 40
     assert [link for link in links if not link.startswith("https://")] == []
@@ -103,7 +103,7 @@ def test_the_page_for_the_package_index_has_absolute_links_only():
 
 def test_code_and_links_that_lead_elsewhere_stay_as_they_are():
     text = "[a](https://b.c) [d](#e) ![f](g.png)\n```sh\n[h](i)\n```\n[![j](k.png)](l)\n"
-    page = index_page.make_index_page(text, "https://github.com/o/n", "v1")
+    page = package_index_readme.make_index_page(text, "https://github.com/o/n", "v1")
     assert "[a](https://b.c) [d](#e) ![f](https://raw.githubusercontent.com/o/n/v1/g.png)" in page
     assert "[h](i)" in page
     raw = "https://raw.githubusercontent.com/o/n/v1"

@@ -9,7 +9,7 @@ from support.packages import installed
 from stage.cli import main, package_commands
 
 MODULE = """
-from stage.cli.commands import add_command, add_facts, parse_integer
+from stage.cli.command_interface import add_command, add_facts, parse_integer
 
 def run(args):
     print(f"{args.times} times")

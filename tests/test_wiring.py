@@ -12,7 +12,7 @@ from stage.cli import build_parser
 from stage.cli.stage_setup import make_stage
 from stage.firmware.hctl1100.chip_port import ChipPort
 from stage.sim.stage_snapshot import Snapshot
-from stage.support.axis_values import parse_wiring
+from stage.support.axis_value_parsing import parse_wiring
 
 POSITIVE = {"org": "positive", "ez": "positive"}
 LIMITS = {"el_plus": "positive", "el_minus": "positive"}

@@ -19,9 +19,11 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from stage.board import layouts
-from stage.board.bus import host_record, requests
+from stage.board.bus import host_record, host_requests
 from stage.board.bus.host_record import DEVICE, EIGHT, HALF, LATCH, LATCHED, NOTHING, PULLS, UPPER, WIDE, WORD
-from stage.board.bus.interrupts import ANY_INTERRUPT_LINE, HIGHEST
+from stage.board.bus.interrupt_controller import ANY_INTERRUPT_LINE, HIGHEST
+from stage.board.bus_trace import BusTrace, Cycle, Meaning
+from stage.board.bus_waveforms import HostWaveforms
 from stage.board.devices import device_options
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevice
@@ -29,8 +31,6 @@ from stage.board.errors import HostError
 from stage.board.host_record_link import Link
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.serial_line import SerialLine
-from stage.board.trace import BusTrace, Cycle, Meaning
-from stage.board.waveforms import HostWaveforms
 from stage.chips.diagnostics import JournalLint
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim.stage import MAX_RUN_S, Stage
@@ -187,7 +187,7 @@ class Board:
         Reading the mask makes no bus cycle.
         """
         self.stage.ensure_powered()
-        return int(requests.read_interrupt_mask.c(self.link.pointer))
+        return int(host_requests.read_interrupt_mask.c(self.link.pointer))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or inside a delay at the exact

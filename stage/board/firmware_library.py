@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.board import platforms
-from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
+from stage.board.bus.host_requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.firmware_pins import (
     PIN_READS,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.board.bus import host_record, requests
+from stage.board.bus import host_record, host_requests
 from stage.board.errors import HostError, StormError
 from stage.board.interrupt_hooks import PythonInterruptHooks
 from stage.board.memory_mapped_ports import explain_missing_windows
@@ -68,7 +68,7 @@ class Link:
             host_record.CHECK_WRITE: self._check_write, host_record.WINDOW_REQUEST: self._answer_window_request,
             host_record.DEVICE_CALLED: self._call_device, host_record.RUN_IN_PYTHON: self._run_stage,
         }  # fmt: skip
-        self.request: Any = requests.request.pointer
+        self.request: Any = host_requests.request.pointer
         self._make_record()
         self.hooks = PythonInterruptHooks(self)
 

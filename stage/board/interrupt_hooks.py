@@ -1,4 +1,4 @@
-"""`PythonInterruptHooks`: the Python side of the interrupt controller in stage.board.bus.interrupts.
+"""`PythonInterruptHooks`: the Python side of the interrupt controller in stage.board.bus.interrupt_controller.
 
 It keeps the table of sources and the hooks that are Python functions. A hook in Python cannot be interrupted: it runs at the
 highest level, whatever the level of its source.
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stage.board.bus import host_record, interrupts, requests
+from stage.board.bus import host_record, host_requests, interrupt_controller
 from stage.board.errors import HostError
 from stage.errors import ArgumentError
 from stage.native import without_attributes
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from stage.board.host_record_link import Link
 
 HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
-PYTHONS_TIMERS = range(interrupts.FIRST_PYTHON_TIMER, interrupts.FIRST_PYTHON_TIMER + interrupts.PYTHON_TIMERS)
+PYTHONS_TIMERS = range(
+    interrupt_controller.FIRST_PYTHON_TIMER,
+    interrupt_controller.FIRST_PYTHON_TIMER + interrupt_controller.PYTHON_TIMERS,
+)
 
 
 class PythonInterruptHooks:
@@ -40,13 +43,13 @@ class PythonInterruptHooks:
         self._trampoline = HOOK(self._call_from_compiled_code)
         self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
         self._left: list[np.ndarray] = []
-        self.sources = np.zeros(interrupts.SOURCES, without_attributes(interrupts.SOURCE))
+        self.sources = np.zeros(interrupt_controller.SOURCES, without_attributes(interrupt_controller.SOURCE))
         self.use_table(self.sources)
 
     def use_table(self, sources: np.ndarray) -> None:
         """Use the array `sources` as the table from now on. Abandoned firmware keeps the old table, which then has no effect."""
         sources[:] = self.sources
-        self.sources, self._hooks = sources, np.zeros(interrupts.HOOKS, interrupts.HOOK_CALLED)
+        self.sources, self._hooks = sources, np.zeros(interrupt_controller.HOOKS, interrupt_controller.HOOK_CALLED)
         self._left += [sources, self._hooks]
         h = self._link.record
         h["sources"], h["hooks"] = sources.ctypes.data, self._hooks.ctypes.data
@@ -56,7 +59,7 @@ class PythonInterruptHooks:
     def update_interrupts(self) -> None:
         """Make compiled code apply a changed table."""
         self._link.record["quiet"] = 0
-        requests.update_interrupts.c(self._link.pointer)
+        host_requests.update_interrupts.c(self._link.pointer)
 
     def set_hook(
         self, source: int, function: Callable[[], None] | None, interrupt_mask: int = 0, level: int = 1, period: int = 0
@@ -88,7 +91,7 @@ class PythonInterruptHooks:
 
     def remove_firmware_hooks(self) -> None:
         """Remove the hooks of firmware that has ended, and restore those of Python."""
-        others = [k for k in range(interrupts.SOURCES) if k not in self.functions]
+        others = [k for k in range(interrupt_controller.SOURCES) if k not in self.functions]
         self.sources[others] = np.zeros((), self.sources.dtype)
         self.point_to_python(self.functions)
         h = self._link.record
@@ -106,7 +109,7 @@ class PythonInterruptHooks:
             row = self.sources[source]
             row["hook"], row["argument"] = self.pointer if source in functions else 0, source
         if not keep:
-            source = interrupts.ANY_INTERRUPT_LINE
+            source = interrupt_controller.ANY_INTERRUPT_LINE
             row = self.sources[source]
             row["hook"], row["argument"] = self.pointer if source in functions else 0, source
             row["interrupt_mask"], row["level"] = -1, 1
@@ -116,7 +119,7 @@ class PythonInterruptHooks:
         """Call the hook in Python of a source, at the highest level."""
         h, loop = self._link.record, self._link.stage.loop
         before, keeps = (h["level"], h["lazy"]), loop.state_refusal
-        h["level"], h["lazy"] = interrupts.HIGHEST, 0
+        h["level"], h["lazy"] = interrupt_controller.HIGHEST, 0
         name = format_source_name(source)
         loop.state_refusal = (
             f"the hook of {name} runs, and what it interrupts goes on from here: do that when it is over."
@@ -135,7 +138,7 @@ class PythonInterruptHooks:
         try:
             link.end_run()  # the hook may write to a chip itself: journals want what was before it first
             try:
-                self.call_hook(source or interrupts.ANY_INTERRUPT_LINE)
+                self.call_hook(source or interrupt_controller.ANY_INTERRUPT_LINE)
             finally:
                 link.begin_run()
         except BaseException as error:
@@ -154,13 +157,13 @@ class PythonInterruptHooks:
             )
         hook = (
             "the interrupt hook"
-            if source == interrupts.ANY_INTERRUPT_LINE
+            if source == interrupt_controller.ANY_INTERRUPT_LINE
             else f"the hook of {format_source_name(source)}"
         )
         again = f"{hook} was called {host_record.STORM_CALLS:,} times in a row {at} and"
         if period := int(self.sources[source]["period"]):
             return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
-        if source >= interrupts.FIRST_SOFTWARE:
+        if source >= interrupt_controller.FIRST_SOFTWARE:
             return f"{again} is raised again: it raises itself (ps_raise)."
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
@@ -174,18 +177,18 @@ class PythonInterruptHooks:
         """
         lines = len(self._link.stage.chips) + int(self._link.record["n_devices"])
         bounds = {
-            host_record.TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {interrupts.TIMERS - 1}, a period 0 (off) "
-            "to 1e18 ns",
+            host_record.TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {interrupt_controller.TIMERS - 1}, "
+            "a period 0 (off) to 1e18 ns",
             host_record.ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts "
-            f"PS_SOFTWARE(0) to PS_SOFTWARE({interrupts.SOFTWARE - 1})",
-            host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupts.HIGHEST}",
+            f"PS_SOFTWARE(0) to PS_SOFTWARE({interrupt_controller.SOFTWARE - 1})",
+            host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupt_controller.HIGHEST}",
             **dict.fromkeys(
                 (host_record.SET_LINES, host_record.READ_LINES, host_record.WATCH_LINES),
                 f"lines of chip {a}: this stage has chips 0 to {len(self._link.stage.chips) - 1}",
             ),
-            host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupts.SOFTWARE - 1}",
+            host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupt_controller.SOFTWARE - 1}",
         }
-        level_error = f"level {b} of {_name_request(code, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
+        level_error = f"level {b} of {_name_request(code, a)}: levels of hooks are 1 to {interrupt_controller.HIGHEST}"
         return f"{bounds.get(code, level_error)}; at {self._link.stage.time:.6f} s."
 
     def check_hooks_have_returned(self) -> None:
@@ -206,19 +209,24 @@ class PythonInterruptHooks:
 
 def format_source_name(source: int) -> str:
     """Return the name of an interrupt source, for example "timer 0"."""
-    if source == interrupts.ANY_INTERRUPT_LINE:
+    if source == interrupt_controller.ANY_INTERRUPT_LINE:
         return "the interrupt line"
     for first, name, after in (
-        (interrupts.FIRST_SOFTWARE, "software interrupt", ""), (interrupts.FIRST_PYTHON_TIMER, "timer", " of Python"),
-        (interrupts.FIRST_TIMER, "timer", ""),
+        (interrupt_controller.FIRST_SOFTWARE, "software interrupt", ""),
+        (interrupt_controller.FIRST_PYTHON_TIMER, "timer", " of Python"),
+        (interrupt_controller.FIRST_TIMER, "timer", ""),
     ):  # fmt: skip
         if source >= first:
             return f"{name} {source - first}{after}"
-    return f"line {source - interrupts.FIRST_INTERRUPT_LINE}"
+    return f"line {source - interrupt_controller.FIRST_INTERRUPT_LINE}"
 
 
 def _name_request(code: int, which: int) -> str:
     """Return the name of the interrupt that a request of ps_timer or ps_on_line sets."""
     if code & ~host_record.WRONG_LEVEL == host_record.TIMER:
         return f"timer {which}"
-    return f"line {which}" if which < interrupts.SOFTWARE_LINE else f"PS_SOFTWARE({which - interrupts.SOFTWARE_LINE})"
+    return (
+        f"line {which}"
+        if which < interrupt_controller.SOFTWARE_LINE
+        else f"PS_SOFTWARE({which - interrupt_controller.SOFTWARE_LINE})"
+    )

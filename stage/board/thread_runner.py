@@ -14,8 +14,8 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from stage.board.bus import host_record, requests
-from stage.board.bus.interrupts import NEAR
+from stage.board.bus import host_record, host_requests
+from stage.board.bus.interrupt_controller import NEAR
 from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
 from stage.board.host_record_link import UNBOUNDED
@@ -210,7 +210,7 @@ class ThreadRunner:
         link = self._board.link
         link.firmware_thread, link.has_other_threads = threading.get_ident(), False
         code, failure, others = 0, None, list_native_threads()
-        top, h = requests.get_stack_position.c(), link.record
+        top, h = host_requests.get_stack_position.c(), link.record
         h["stack_low"], h["stack_high"], h["stack_checks"] = top - STACK_SIZE, top + NEAR, STACK_CHECKS
         try:
             with self._prepare_thread():

@@ -19,7 +19,7 @@ from importlib import import_module
 from stage.chips import contract
 from stage.chips.chip import Chip
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
-from stage.support.package_parts import PackagePart, find_package_parts, load_package_part, may_have_package_part
+from stage.support.entry_points import PackagePart, find_package_parts, load_package_part, may_have_package_part
 
 GROUP = "pulsestage.chips"
 """The entry points of a package that name chips."""

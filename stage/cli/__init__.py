@@ -62,14 +62,14 @@ exit codes: 0 success, 1 the run failed (lost steps, limit switch), 2 wrong usag
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line, and return the exit code."""
-    from stage.cli.terminal import run_with_output
+    from stage.cli.terminal_output import run_with_output
 
     return run_with_output(lambda: _run(argv))
 
 
 def _run(argv: Sequence[str] | None) -> int:
     """Parse the words and run their command; return the exit code, also for an error or Ctrl-C."""
-    from stage.cli.commands import describe_interruption, fail
+    from stage.cli.command_interface import describe_interruption, fail
     from stage.cli.completion import complete
     from stage.errors import StageError
 

@@ -6,7 +6,7 @@ import argparse
 import os
 from typing import TYPE_CHECKING, Any
 
-from stage.cli.commands import add_command
+from stage.cli.command_interface import add_command
 
 if TYPE_CHECKING:
     from stage.cli.argument_parser import Parser

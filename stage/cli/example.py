@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from stage.cli.commands import add_command, add_facts, report_written_file
+from stage.cli.command_interface import add_command, add_facts, report_written_file
 from stage.support.extras import is_installed
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.commands import add_command, add_facts
+from stage.cli.command_interface import add_command, add_facts
 from stage.cli.options import CHIPS
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command
+from stage.cli.command_interface import add_command
 from stage.cli.options import TIME, parse_integer, parse_port
 from stage.cli.stage_setup import make_stage
 from stage.errors import ArgumentError

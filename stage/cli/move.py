@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, add_facts, warn
+from stage.cli.command_interface import add_command, add_facts, warn
 from stage.cli.options import DURATION, RATE, TIME
 from stage.cli.output_files import draw_plot, record_to_files
 from stage.cli.stage_setup import (
@@ -20,7 +20,7 @@ from stage.cli.stage_setup import (
     split_pair,
     warn_if_beyond_limits,
 )
-from stage.cli.terminal import show_simulated_time
+from stage.cli.terminal_output import show_simulated_time
 from stage.errors import ArgumentError, add_article
 
 

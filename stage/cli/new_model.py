@@ -7,7 +7,7 @@ import shlex
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, add_facts, report_written_file
+from stage.cli.command_interface import add_command, add_facts, report_written_file
 
 
 def add_subcommand(commands: Any) -> None:

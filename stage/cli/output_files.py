@@ -9,8 +9,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from stage.cli.commands import add_facts, report_written_file
-from stage.cli.terminal import show_status
+from stage.cli.command_interface import add_facts, report_written_file
+from stage.cli.terminal_output import show_status
 from stage.errors import ArgumentError
 from stage.support.extras import format_install_command, import_extra, is_installed
 

@@ -5,9 +5,8 @@ A package lists its commands in its pyproject.toml, each with the function that 
     [project.entry-points."pulsestage.commands"]
     bench = "registerbench.commands:add_bench"
 
-The function gets argparse's subparsers and adds the command by `stage.cli.commands.add_command`. A package is imported only when
-one
-of its commands, or the list of all commands, is requested. PulseStage's own commands take precedence.
+The function gets argparse's subparsers and adds the command by `stage.cli.command_interface.add_command`. A package is imported
+only when one of its commands, or the list of all commands, is requested. PulseStage's own commands take precedence.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import sys
 from typing import Any
 
 from stage.errors import ArgumentError, StageError
-from stage.support.package_parts import find_package_parts, load_package_part
+from stage.support.entry_points import find_package_parts, load_package_part
 
 GROUP = "pulsestage.commands"
 """The entry points of a package that name commands."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from stage.cli.commands import add_command
+from stage.cli.command_interface import add_command
 from stage.cli.options import add_live_page_options, add_model_argument, add_stage_options, parse_port
 from stage.cli.stage_setup import make_stage
 

@@ -7,10 +7,10 @@ from functools import partial
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, add_facts
+from stage.cli.command_interface import add_command, add_facts
 from stage.cli.options import VOLTAGE
 from stage.cli.output_files import check_outputs, draw_plot
-from stage.cli.terminal import show_progress
+from stage.cli.terminal_output import show_progress
 
 
 def add_subcommand(commands: Any) -> None:

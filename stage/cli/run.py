@@ -18,12 +18,12 @@ from typing import Any
 
 from stage.chips.diagnostics import describe_mistakes
 from stage.cli import options, serial_options
-from stage.cli.commands import add_command, add_facts, report_written_file, warn
+from stage.cli.command_interface import add_command, add_facts, report_written_file, warn
 from stage.cli.options import DURATION, FREQUENCY, TIME, parse_integer
 from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import keep_panel, run_in_real_time, show_panel
 from stage.cli.stage_setup import make_board
-from stage.cli.terminal import show_simulated_time, show_status
+from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError, StageError
 from stage.units import POSITION_UNITS
 

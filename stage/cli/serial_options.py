@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from stage.cli.commands import report_written_file, warn
+from stage.cli.command_interface import report_written_file, warn
 from stage.errors import ArgumentError
 from stage.support.files import check_writable, write_atomically
 

@@ -7,7 +7,7 @@ import ipaddress
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, warn
+from stage.cli.command_interface import add_command, warn
 from stage.cli.options import parse_port
 from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import on_end_signals, show_panel

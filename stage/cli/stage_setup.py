@@ -6,9 +6,9 @@ import argparse
 import math
 from typing import Any
 
-from stage.cli.commands import warn
+from stage.cli.command_interface import warn
 from stage.errors import ArgumentError, add_article, unknown_name_error
-from stage.support.axis_values import parse_chips, parse_multichip, parse_syni, parse_wiring, split_pair
+from stage.support.axis_value_parsing import parse_chips, parse_multichip, parse_syni, parse_wiring, split_pair
 from stage.units import POSITION_FACTORS, POSITION_UNITS, explain_number_error, parse_position
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, add_facts
+from stage.cli.command_interface import add_command, add_facts
 from stage.cli.options import MASS
 from stage.cli.stage_setup import find_axis, make_stage, parse_distance
-from stage.cli.terminal import rewrite_line
+from stage.cli.terminal_output import rewrite_line
 from stage.errors import ArgumentError, StageError
 from stage.units import OTHER_FACTORS, POSITION_FACTORS, POSITION_UNITS, parse_quantity
 

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, add_facts, report_written_file
+from stage.cli.command_interface import add_command, add_facts, report_written_file
 from stage.cli.output_files import check_outputs
 from stage.errors import StageError, unknown_name_error
 from stage.support.extras import import_extra

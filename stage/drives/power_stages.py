@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.argument_checks import explain_constructor
-from stage.support.package_parts import PackagePart, find_package_parts, load_package_part, may_have_package_part
+from stage.support.entry_points import PackagePart, find_package_parts, load_package_part, may_have_package_part
 
 GROUP = "pulsestage.power_stages"
 """The entry points of a package that name power stages."""

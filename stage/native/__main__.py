@@ -3,7 +3,7 @@
 import sys
 
 from stage.errors import NativeError
-from stage.native.build import build_library
+from stage.native.library_builder import build_library
 
 
 def main() -> int:

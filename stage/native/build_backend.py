@@ -18,18 +18,18 @@ from setuptools.build_meta import *  # noqa: F403
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # the sources, not what may be installed
 
-from stage.native import build, index_page, library_manifest  # noqa: E402
+from stage.native import library_builder, library_manifest, package_index_readme  # noqa: E402
 
 LINKER = "ziglang==0.15.2"
-index_page.write_index_page(ROOT)  # pyproject.toml names it, and every hook reads that
+package_index_readme.write_index_page(ROOT)  # pyproject.toml names it, and every hook reads that
 
 
 def list_requirements() -> list[str]:
     """List the distributions that the build of the library needs; none if the library is up to date."""
     if not library_manifest.explain_library_misfit("stage", ROOT / "stage" / library_manifest.NAME):
         return []
-    linkers = [] if any(map(shutil.which, build.COMPILERS)) else [LINKER]
-    return [f"numba=={build.NUMBA}", *linkers]
+    linkers = [] if any(map(shutil.which, library_builder.COMPILERS)) else [LINKER]
+    return [f"numba=={library_builder.NUMBA}", *linkers]
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
@@ -44,13 +44,13 @@ def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
     """Build the native library and then a wheel (PEP 517)."""
-    build.build_library("stage")
+    library_builder.build_library("stage")
     return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
 
 
 def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
     """Build the native library and then an editable wheel (PEP 660)."""
-    build.build_library("stage")
+    library_builder.build_library("stage")
     return str(build_meta.build_editable(wheel_directory, config_settings, metadata_directory))
 
 

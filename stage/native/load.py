@@ -38,9 +38,9 @@ def _load_library(package: str) -> ctypes.CDLL:
         )
     path = find_library(package)
     if why := explain_library_misfit(package, path):
-        from stage.native import build  # few processes build
+        from stage.native import library_builder  # few processes build
 
-        path = build.build_missing(package, why)
+        path = library_builder.build_missing(package, why)
     if package != "stage":
         _load_library("stage")  # what others call in it, they find by name
     try:

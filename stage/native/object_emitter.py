@@ -24,8 +24,8 @@ from numba.core import codegen, types
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
-from stage.native.compile_errors import explain_compile_error
-from stage.native.object_files import write_object
+from stage.native.compile_error_explanation import explain_compile_error
+from stage.native.object_file_cache import write_object
 
 SYSTEM_FUNCTIONS = frozenset(
     "exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split()

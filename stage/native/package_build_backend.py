@@ -32,7 +32,7 @@ except ImportError:
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
     """Build the library of each package of the project in this folder, then its wheel (PEP 517)."""
-    from stage.native import build, library_manifest
+    from stage.native import library_builder, library_manifest
 
     settings = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8")).get("tool", {}).get("setuptools", {})
     root = Path.cwd() / settings.get("package-dir", {}).get("", "")
@@ -42,7 +42,7 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
         packages = find_packages(str(root), include=packages.get("find", {}).get("include", ("*",)))
     for package in dict.fromkeys(name.partition(".")[0] for name in packages):
         if any(library_manifest.find_exporting_modules({package: root / package})):
-            build.build_library(package)
+            library_builder.build_library(package)
     return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
 
 

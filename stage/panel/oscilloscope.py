@@ -23,7 +23,7 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.panel.sampler import MAX_AGE_S, Sampler, Trace
-from stage.recording.rerun_import import release_streams, rr
+from stage.recording.lazy_rerun import release_streams, rr
 from stage.recording.rerun_scene import to_time_column
 from stage.support.extras import import_extra
 from stage.support.identifier_escapes import escape_name

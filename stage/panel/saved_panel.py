@@ -33,7 +33,7 @@ from stage.panel.fault_controls import FaultRequest
 from stage.panel.sampler import MAX_AGE_S
 from stage.sim.engine_records import SECOND
 from stage.sim.stage import Snapshot
-from stage.support import axis_values
+from stage.support import axis_value_parsing
 from stage.support.extras import ExtraMissing
 from stage.support.foreign_files import DocumentError, parse_json, read_bytes, read_members
 
@@ -60,16 +60,16 @@ class ProgramCycle(NamedTuple):
 
 def write_stage_call(options: dict[str, Any]) -> str:
     """Return the Python expression that creates the stage described by options of `stage panel`."""
-    by_axis = axis_values.parse_chips(options["chips"]) if "=" in options["chips"] else None
+    by_axis = axis_value_parsing.parse_chips(options["chips"]) if "=" in options["chips"] else None
     arguments = [repr(options["model"]), f"chips={by_axis or options['chips']!r}"]
     if drives := _describe_drives(options, by_axis):
         arguments.append(f"drives={drives}")
     if options["bus_cycle"] != 1e-6:
         arguments.append(f"bus_cycle={options['bus_cycle']!r}")
     for name, parse in (
-        ("wiring", axis_values.parse_wiring),
-        ("multichip", axis_values.parse_multichip),
-        ("syni", axis_values.parse_syni),
+        ("wiring", axis_value_parsing.parse_wiring),
+        ("multichip", axis_value_parsing.parse_multichip),
+        ("syni", axis_value_parsing.parse_syni),
     ):
         if value := parse(options[name]):
             arguments.append(f"{name}={value!r}")

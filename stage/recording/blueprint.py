@@ -10,7 +10,7 @@ import numpy as np
 
 from stage.recording import geom_archetypes
 from stage.recording.axis_series import assign_colors, list_axes_with_series, make_plot_title
-from stage.recording.rerun_import import rr, rrb
+from stage.recording.lazy_rerun import rr, rrb
 from stage.recording.rerun_scene import make_axis_entity_path
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from stage.recording.rerun_import import rr
+from stage.recording.lazy_rerun import rr
 
 HIDDEN_GROUP = 3  # geoms of this group and above are for computing only
 PLANE_THICKNESS_M = 0.002  # thickness, m

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from stage.recording.rerun_import import release_streams
+from stage.recording.lazy_rerun import release_streams
 
 FLUSH_TIMEOUT_S = 60.0
 

@@ -26,9 +26,9 @@ from stage.chips.cycle_descriptions import Statement
 from stage.chips.journal import Replay
 from stage.recording import pin_signals, rerun_scene
 from stage.recording.axis_series import COLORS, FORMAT_VERSION, assign_colors, select_series
+from stage.recording.lazy_rerun import rr
 from stage.recording.line_thinning import mark_needed_samples
 from stage.recording.rerun_file_writer import RrdSink
-from stage.recording.rerun_import import rr
 from stage.units import DEVIATION_UNITS
 
 if TYPE_CHECKING:

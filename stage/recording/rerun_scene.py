@@ -16,7 +16,7 @@ import numpy as np
 
 from stage.recording import geom_archetypes, pin_signals
 from stage.recording.geom_archetypes import rotate_vector
-from stage.recording.rerun_import import rr
+from stage.recording.lazy_rerun import rr
 from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
 from stage.recording.browser_server import HOST, PAGE_MIME_TYPES, RECORDING_NAME, RecordingServer
-from stage.recording.rerun_import import experimental
+from stage.recording.lazy_rerun import experimental
 from stage.support.extras import import_extra, is_installed
 from stage.support.files import refuse_irregular, write_atomically
 from stage.support.opengl import has_screen

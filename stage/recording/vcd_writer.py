@@ -7,7 +7,7 @@
       status            operating, lt, zero ...: the bits of the byte that a read at address 0 would return
       bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); only if they
                           occur, LOST: a write cycle that did not reach the chip; RD: a read cycle that changed something
-    host                  the bus cycles of a board, with reads, see stage.board.waveforms
+    host                  the bus cycles of a board, with reads, see stage.board.bus_waveforms
 
 Times are those of the stage in nanoseconds. Tick n of a clock of f Hz is at n / f, and each time is rounded to the nanosecond
 separately: errors do not add up, and n is round(ns f / 1e9).
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 NS_PER_S = 1_000_000_000
 MAX_EDGES_AT_ONCE = 16384  # at a time
 HOST_SCOPE = "host"
-"""Scope of a board's bus cycles, see stage.board.waveforms."""
+"""Scope of a board's bus cycles, see stage.board.bus_waveforms."""
 DATE = "simulated time since power-up"  # and not the wall clock: equal runs make equal files
 
 EVENT_NAMES = {WRITE: "WR", RESET: "RESET", LOST: "LOST", READ: "RD"}

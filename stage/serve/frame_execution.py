@@ -12,8 +12,8 @@ import numpy as np
 
 from stage import __version__
 from stage.board import Board, HostError
-from stage.board.bus.batch import ENTRY, find_first_invalid, resume_batch, run_batch
 from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
+from stage.board.bus.request_batch import ENTRY, find_first_invalid, resume_batch, run_batch
 from stage.board.pin_assignment import DRIVEN, READ, has_line
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.bus import requests
+from stage.board.bus import host_requests
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostError, LibraryError
 from stage.board.pin_assignment import PinLine, WiringFinding
@@ -298,7 +298,7 @@ class LoadedAvr:
         link, library = self._board.link, self._simavr
         self._row = np.zeros(1, avr_core.AVR)
         t = self.record = self._row[0]
-        t.own, t.avr, t.host, t.request = self._row.ctypes.data, self._avr, link.pointer, requests.request.address
+        t.own, t.avr, t.host, t.request = self._row.ctypes.data, self._avr, link.pointer, host_requests.request.address
         t.run, t.raise_irq = library.find_function_address("avr_run"), library.find_function_address("avr_raise_irq")
         t.status, t.read_memory = (
             library.find_function_address("avr_cycle_timer_status"),

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.bus import host_record, requests
+from stage.board.bus import host_record, host_requests
 from stage.board.errors import HostError
 from stage.native import address_of
 from stage.targets import processor_core
@@ -97,7 +97,7 @@ class UnicornProcessor:
             self._row.ctypes.data,
             self.handle.value,
             link.pointer,
-            requests.request.address,
+            host_requests.request.address,
         )
         t.stop, t.reg_read = (_get_function_address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
         t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stage.chips import Chip
-from stage.testing.chip_acts import (
+from stage.testing.chip_actions import (
     Act,
     describe_differences,
     draw_acts,

@@ -14,7 +14,7 @@ from typing import Any
 
 from stage.chips import Chip
 from stage.support.subprocesses import ENCODING, ERRORS
-from stage.testing.chip_acts import perform_act
+from stage.testing.chip_actions import perform_act
 from stage.testing.promise_trial import PromiseTrial
 
 

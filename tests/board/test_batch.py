@@ -9,8 +9,8 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.bus.batch import ENTRY, UNTIL8, UNTIL16, UNTIL_LINE, find_first_invalid, run_batch
 from stage.board.bus.host_record import DELAY, IN8, IN16, IN32, LINE, MICROS, OUT8, OUT16, OUT32
+from stage.board.bus.request_batch import ENTRY, UNTIL8, UNTIL16, UNTIL_LINE, find_first_invalid, run_batch
 from stage.chips import PCL240MK
 
 PORT, OPERATING = 0x300, 0x40

@@ -11,7 +11,7 @@ from support.vcd_parser import parse
 from stage import Stage
 from stage.board import Board, layouts
 from stage.board.bus import host_record
-from stage.board.bus.interrupts import (
+from stage.board.bus.interrupt_controller import (
     ANY_INTERRUPT_LINE,
     FIRST_INTERRUPT_LINE,
     FIRST_PYTHON_TIMER,

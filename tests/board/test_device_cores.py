@@ -321,8 +321,8 @@ def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
 
 def test_a_batch_refuses_numbers_just_beyond_their_bounds():
     """host.delay_us(10**15 + 1) and -1, ports of 33 bits"""
-    from stage.board.bus.batch import ENTRY, UNTIL_LINE, find_first_invalid
     from stage.board.bus.host_record import DELAY, IN8, MAX_DELAY_US, OUT8, OUT16, OUT32, SPEND
+    from stage.board.bus.request_batch import ENTRY, UNTIL_LINE, find_first_invalid
 
     Board(Stage("xy", visuals=False))
     for what, a, b, wrong in (

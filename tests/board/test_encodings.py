@@ -23,7 +23,7 @@ from stage.board import (
     crash_report,
     include,
 )
-from stage.cli.terminal import ClosableOutput
+from stage.cli.terminal_output import ClosableOutput
 from stage.support.subprocesses import run_program
 
 SHIFT_JIS = "軸を動かす".encode("shift_jis")

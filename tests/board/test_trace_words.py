@@ -7,8 +7,8 @@ import pytest
 from stage import Stage
 from stage.board import Board, HostTimeout, NativeHost
 from stage.board.bus.host_record import CALLED, LEVEL, ON_LINE, RAISE, RETURNED, TIMER, WRONG_LEVEL
-from stage.board.bus.interrupts import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
-from stage.board.trace import Cycle, format_interrupt
+from stage.board.bus.interrupt_controller import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
+from stage.board.bus_trace import Cycle, format_interrupt
 
 
 @pytest.fixture

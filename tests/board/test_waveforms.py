@@ -16,7 +16,7 @@ from support.vcd_parser import parse
 from stage import Stage
 from stage.board import Board, NativeHost
 from stage.board.bus.host_record import CYCLE, IN, IN_WIDE, OUT, OUT_WIDE, STRAY
-from stage.board.waveforms import HostWaveforms, _iterate_polls, _register_signals
+from stage.board.bus_waveforms import HostWaveforms, _iterate_polls, _register_signals
 from stage.chips import MCX304
 
 

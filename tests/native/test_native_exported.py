@@ -154,7 +154,7 @@ def test_a_process_that_runs_a_stage_loads_neither_numba_nor_a_compiler():
     say = "import sys; from stage import Stage; Stage('xy', visuals=False).step(); print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", say], capture_output=True, text=True, check=True)
     assert out.stderr == ""
-    assert not {"numba", "llvmlite", "scipy", "stage.native.build", "stage.native.object_emitter"} & set(
+    assert not {"numba", "llvmlite", "scipy", "stage.native.library_builder", "stage.native.object_emitter"} & set(
         out.stdout.split()
     )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stage import NativeError
-from stage.native import COMPILED, build, compile_errors, library_manifest, object_files
+from stage.native import COMPILED, compile_error_explanation, library_builder, library_manifest, object_file_cache
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
@@ -96,7 +96,9 @@ def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported
     known = {name: tmp_path / "core.py" for name in ("toy", "toy.core", "toy.constants", "toy.more")}
     for line, result in lines.items():
         (tmp_path / "core.py").write_text(line)
-        assert {origin for origin, _ in build._list_imports("toy.core", build._parse_code(line), known)} == result, line
+        assert {
+            origin for origin, _ in library_builder._list_imports("toy.core", library_builder._parse_code(line), known)
+        } == result, line
 
 
 CALLER = """
@@ -142,7 +144,7 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
     """A function that is called by its symbol counts with its signature, one that is hot or takes an array with its module."""
     texts = {"caller": CALLER.replace("plain, whole", imported), "callee": CALLEE}
     known = {f"toy.{name}": tmp_path / f"{name}.py" for name in texts}
-    native = Path(build.__file__).parent
+    native = Path(library_builder.__file__).parent
     known |= {
         f"stage.native.{name}": native / f"{name}.py"
         for name in ("arithmetic", "object_emitter", "numba_implementations")
@@ -151,7 +153,7 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
     def depends(texts):
         for name, text in texts.items():
             (tmp_path / f"{name}.py").write_text(text)
-        return build._find_dependencies(["toy.caller"], known)
+        return library_builder._find_dependencies(["toy.caller"], known)
 
     before, after = depends(texts), depends(texts | {file: texts[file].replace(old, new)})
     compiled_in = file == "callee" and imported != "plain"
@@ -161,8 +163,8 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
 def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
     places = library_manifest.find_package_folders("stage")
     known = {module: Path(source) for module, source in library_manifest.list_modules(places)}
-    parts = build._list_parts("stage", places)
-    assert [name for name in parts if "stage.sim.engine" in build._find_dependencies(parts[name], known)] == [
+    parts = library_builder._list_parts("stage", places)
+    assert [name for name in parts if "stage.sim.engine" in library_builder._find_dependencies(parts[name], known)] == [
         "stage.sim"
     ]
 
@@ -172,7 +174,7 @@ def test_a_terminal_shows_the_progress_of_a_build(monkeypatch):
     terminal = io.StringIO()
     terminal.isatty = lambda: True
     monkeypatch.setattr(sys, "stderr", terminal)
-    say = build._ProgressLine("building toy", 2, 3)
+    say = library_builder._ProgressLine("building toy", 2, 3)
     say.show_part_done()
     say.show_part_done()
     say.finish()
@@ -263,13 +265,13 @@ def flipped(content):
 )
 def test_damage_of_an_object_is_detected(tmp_path, damage):
     part, content = tmp_path / "toy.o", bytes(range(256)) * 4
-    object_files.write_object(part, content)
-    assert object_files.is_intact(part)
+    object_file_cache.write_object(part, content)
+    assert object_file_cache.is_intact(part)
     if damage:
         part.write_bytes(damage(content))
     else:
         Path(f"{part}.sha256").unlink()
-    assert not object_files.is_intact(part)
+    assert not object_file_cache.is_intact(part)
 
 
 def test_a_damaged_object_in_the_cache_is_rebuilt(toy):
@@ -291,9 +293,9 @@ def test_an_object_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
     And the power fails: empty objects under names that were trusted."""
     synced = []
     monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
-    object_files.write_object(tmp_path / "toy.o", b"made")
+    object_file_cache.write_object(tmp_path / "toy.o", b"made")
     assert synced == [(tmp_path / name).stat().st_ino for name in ("toy.o", "toy.o.sha256")]
-    assert object_files.is_intact(tmp_path / "toy.o")
+    assert object_file_cache.is_intact(tmp_path / "toy.o")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a linker's option")
@@ -304,12 +306,12 @@ def test_the_link_reports_a_symbol_missing_in_the_library_of_pulsestage(toy, tmp
     (tmp_path / "calls.c").write_text(
         "long toy_1core_1stepped(long); long calls(long n) { return toy_1core_1stepped(n); }"
     )
-    subprocess.run([*build.find_linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
+    subprocess.run([*library_builder.find_linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
     calls, manifest = tmp_path / "calls.o", part.with_name("manifest.o")
-    build._link_library([calls, part], manifest, tmp_path / "whole.so", all_symbols_needed=True)
-    build._link_library([calls], manifest, tmp_path / "of_a_package.so", all_symbols_needed=False)
+    library_builder._link_library([calls, part], manifest, tmp_path / "whole.so", all_symbols_needed=True)
+    library_builder._link_library([calls], manifest, tmp_path / "of_a_package.so", all_symbols_needed=False)
     with pytest.raises(NativeError, match=r"(?s)could not be linked:.*toy_1core_1stepped"):
-        build._link_library([calls], manifest, tmp_path / "lacks.so", all_symbols_needed=True)
+        library_builder._link_library([calls], manifest, tmp_path / "lacks.so", all_symbols_needed=True)
 
 
 def test_a_full_disk_in_the_temporary_folder_is_reported(tmp_path, monkeypatch):
@@ -317,14 +319,14 @@ def test_a_full_disk_in_the_temporary_folder_is_reported(tmp_path, monkeypatch):
     In a read-only package, with a full /tmp."""
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(build.os, "access", lambda folder, how: False)
+    monkeypatch.setattr(library_builder.os, "access", lambda folder, how: False)
 
     def full(**_):
         raise OSError(28, "No space left on device", "/tmp/pulsestage-1")
 
-    monkeypatch.setattr(build.tempfile, "mkdtemp", full)
+    monkeypatch.setattr(library_builder.tempfile, "mkdtemp", full)
     with pytest.raises(NativeError, match=r"written to /tmp/pulsestage-1: No space left on device\. Make room there"):
-        build.build_library("toy")
+        library_builder.build_library("toy")
 
 
 def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
@@ -334,14 +336,14 @@ def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     for name in [name for name in sys.modules if name.partition(".")[0] == "toy"]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
+    monkeypatch.setattr(library_builder, "_emit_objects", lambda parts, *_: None)
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(build, "_write_manifest_object", full)
+    monkeypatch.setattr(library_builder, "_write_manifest_object", full)
     with pytest.raises(NativeError, match=r"could not be written to .*toy: No space left on device\. Make room there"):
-        build.build_library("toy")
+        library_builder.build_library("toy")
     monkeypatch.undo()
     assert "could not be written: No space left on device. Make room there." in run_emit_to("/dev/full")
 
@@ -400,7 +402,7 @@ def test_the_place_reported_is_in_the_users_source_and_not_within_numba(tmp_path
     inner.write_text("theirs()\n")
     outer.write_text("\nours()\n")
     error = TypeError(f"no such thing\nDuring: lowering at {inner} (1)\nDuring: typing of call at {outer} (2)\n")
-    text = compile_errors.explain_compile_error(compile_errors.explain_compile_error, error)
+    text = compile_error_explanation.explain_compile_error(compile_error_explanation.explain_compile_error, error)
     assert text.splitlines()[0] == f'File "{outer}", line 2, in hot function explain_compile_error:'
     assert text.splitlines()[1].strip() == "ours()"
 
@@ -460,24 +462,24 @@ def test_a_library_is_linked_by_the_first_compiler_installed(tmp_path, monkeypat
     """Simulate a machine with gcc but no cc, then one with neither."""
     from importlib import util
 
-    from stage.native import build
+    from stage.native import library_builder
 
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(build, "COMPILERS", ("cc", "clang", "gcc"))
+    monkeypatch.setattr(library_builder, "COMPILERS", ("cc", "clang", "gcc"))
     target = [True]
-    monkeypatch.setattr(build, "find_spec", lambda name: target and util.find_spec("sys"))
-    assert build.find_linker() == [sys.executable, "-m", "ziglang", "cc"]
+    monkeypatch.setattr(library_builder, "find_spec", lambda name: target and util.find_spec("sys"))
+    assert library_builder.find_linker() == [sys.executable, "-m", "ziglang", "cc"]
     (tmp_path / "gcc").touch(0o755)
-    assert build.find_linker() == ["gcc"]
+    assert library_builder.find_linker() == ["gcc"]
     (tmp_path / "gcc").unlink()
     target.clear()
     with pytest.raises(NativeError, match="install a C compiler, or pip install ziglang"):
-        build.find_linker()
+        library_builder.find_linker()
 
 
 def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, monkeypatch):
     """pip install numba==0.59.0; python -m stage.native toy"""
-    from stage.native import build
+    from stage.native import library_builder
 
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
@@ -486,22 +488,22 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
     ]:  # of another test, elsewhere, and built
         monkeypatch.delitem(sys.modules, name)
     for result in ("0.59.0", "0.99.0", "1.0"):
-        monkeypatch.setattr(build, "version", lambda name, result=result: result)
+        monkeypatch.setattr(library_builder, "version", lambda name, result=result: result)
         with pytest.raises(
-            NativeError, match=f"libraries are built with numba {build.NUMBA}, and {result} is installed"
+            NativeError, match=f"libraries are built with numba {library_builder.NUMBA}, and {result} is installed"
         ):
-            build.build_library("toy")
-    monkeypatch.setattr(build, "version", lambda name: build.NUMBA)
-    monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
+            library_builder.build_library("toy")
+    monkeypatch.setattr(library_builder, "version", lambda name: library_builder.NUMBA)
+    monkeypatch.setattr(library_builder, "_emit_objects", lambda parts, *_: None)
 
     def fails(objects, manifest, path, all_symbols_needed):
         path.write_text("half")
         raise NativeError("the disk is full")
 
-    monkeypatch.setattr(build, "_link_library", fails)
-    monkeypatch.setattr(build, "_write_manifest_object", lambda *_: None)
+    monkeypatch.setattr(library_builder, "_link_library", fails)
+    monkeypatch.setattr(library_builder, "_write_manifest_object", lambda *_: None)
     with pytest.raises(NativeError, match="the disk is full"):
-        build.build_library("toy")
+        library_builder.build_library("toy")
     assert [path.name for path in (tmp_path / "toy").iterdir() if "_native" in path.name] == []
 
 
@@ -511,19 +513,19 @@ def test_the_library_of_a_read_only_package_belongs_to_the_process(tmp_path, mon
     planted = tmp_path / "temporary" / f"pulsestage-{os.getuid()}"
     planted.mkdir(parents=True)
     (planted / library_manifest.NAME).write_text("evil")
-    monkeypatch.setattr(build.tempfile, "tempdir", str(planted.parent))
+    monkeypatch.setattr(library_builder.tempfile, "tempdir", str(planted.parent))
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(build.os, "access", lambda folder, how: False)
-    monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
+    monkeypatch.setattr(library_builder.os, "access", lambda folder, how: False)
+    monkeypatch.setattr(library_builder, "_emit_objects", lambda parts, *_: None)
     monkeypatch.setattr(
-        build,
+        library_builder,
         "_link_library",
         lambda objects, manifest, path, all_symbols_needed: path.write_text(library_manifest.NO_DIGEST),
     )
     at_exit = []
-    monkeypatch.setattr(build.atexit, "register", lambda *call, **how: at_exit.append((call, how)))
-    folder = build.build_library("toy").parent
+    monkeypatch.setattr(library_builder.atexit, "register", lambda *call, **how: at_exit.append((call, how)))
+    folder = library_builder.build_library("toy").parent
     assert folder.parent == planted.parent
     assert folder != planted
     assert (planted / library_manifest.NAME).read_text() == "evil"
@@ -543,7 +545,7 @@ def test_settings_of_numba_do_not_reach_the_processes_that_compile(tmp_path, mon
     monkeypatch.setattr(sys, "executable", str(compiler))
     for name, value in (("NUMBA_OPT", "0"), ("NUMBA_BOUNDSCHECK", "1"), ("NUMBA_DISABLE_JIT", "1")):
         monkeypatch.setenv(name, value)
-    build._emit_objects([[str(tmp_path / "core.o"), "toy.core"]], {"toy": tmp_path / "toy"}, "", None)
+    library_builder._emit_objects([[str(tmp_path / "core.o"), "toy.core"]], {"toy": tmp_path / "toy"}, "", None)
     lines = reports.read_text().splitlines()
     assert "PULSESTAGE_EMIT=1" in lines
     assert [line for line in lines if line.startswith("NUMBA_")] == []

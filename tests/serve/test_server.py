@@ -394,13 +394,13 @@ def test_the_client_is_one_file_that_needs_python_only(served, tmp_path):
 
 
 def test_the_client_s_numbers_are_those_of_the_board():
-    from stage.board.bus import batch, host_record
+    from stage.board.bus import host_record, request_batch
 
     for name in ("IN8", "OUT8", "IN16", "OUT16", "IN32", "OUT32", "DELAY", "MICROS", "LINE", "SPEND"):
         assert getattr(client, name) == getattr(host_record, name)
     for name in ("UNTIL8", "UNTIL16", "UNTIL_LINE"):
-        assert getattr(client, name) == getattr(batch, name)
-    assert client.ENTRY.size == batch.ENTRY.itemsize
+        assert getattr(client, name) == getattr(request_batch, name)
+    assert client.ENTRY.size == request_batch.ENTRY.itemsize
     header = (include() / "pulsestage_remote.h").read_text()
     assert (
         "PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_TIMER = 13, PS_F_INTERRUPT = 254, PS_F_ERROR = 255"

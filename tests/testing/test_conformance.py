@@ -13,7 +13,7 @@ from toy import TOY, TOY8, defects
 
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, NativeError, StageError
-from stage.testing import chip_acts, chip_conformance, conformance, promises
+from stage.testing import chip_actions, chip_conformance, conformance, promises
 from stage.testing.bounded_child_process import NOT_FINISHED, BoundedChildProcess
 from stage.testing.conformance import NotConforming
 from stage.testing.promise_trial import describe_difference
@@ -90,11 +90,11 @@ def test_only_a_pin_that_something_else_drives_is_left_out_of_harmless_acts():
     chip = SimpleNamespace(
         write=write, axes=[SimpleNamespace(pins=RefusingPins())], INPUTS={"org": 1}, read=lambda address: 0
     )
-    assert chip_acts.limit_pulses([chip_acts.Act("pin", 0, 0, 1), chip_acts.Act("read", 1)], chip) == [
-        chip_acts.Act("read", 1)
+    assert chip_actions.limit_pulses([chip_actions.Act("pin", 0, 0, 1), chip_actions.Act("read", 1)], chip) == [
+        chip_actions.Act("read", 1)
     ]
     with pytest.raises(StageError, match="broken"):
-        chip_acts.limit_pulses([chip_acts.Act("write", 0, 1)], chip)
+        chip_actions.limit_pulses([chip_actions.Act("write", 0, 1)], chip)
 
 
 def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch):
@@ -103,7 +103,7 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
         PCL240K.MAP, registers=tuple(replace(r, legal=(0, 70)) if r.name == "R0" else r for r in PCL240K.MAP.registers)
     )
     monkeypatch.setattr(PCL240K, "MAP", small)
-    created = {chip_acts.draw_move(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
+    created = {chip_actions.draw_move(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
     assert max(created) == 70
 
 
@@ -197,7 +197,7 @@ def test_promises_run_in_one_process_until_one_hangs():
 
 
 def test_moves_of_a_driver_are_tried_in_both_directions():
-    directions = {np.sign(chip_acts.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
+    directions = {np.sign(chip_actions.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
     assert directions == {-1, 1}
 
 

@@ -8,7 +8,7 @@ import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from stage.cli.commands import TIME, add_command, add_facts, parse_integer, report_written_file
+from stage.cli.command_interface import TIME, add_command, add_facts, parse_integer, report_written_file
 from stage.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -225,11 +225,11 @@ def _make_player(args: argparse.Namespace) -> Any:
         import_extra("mcp", "stage agent --mcp")
         return McpClientPlayer()
     if args.command is not None:
-        from registerbench.arena.players.command import CommandPlayer
+        from registerbench.arena.players.external_command import CommandPlayer
 
         return CommandPlayer(args.command)
     if args.endpoint is not None:
-        from registerbench.arena.players.endpoint import EndpointPlayer
+        from registerbench.arena.players.model_endpoint import EndpointPlayer
 
         key = os.environ.get(args.key_env, "") if args.key_env else ""
         if args.key_env and not key:

@@ -7,7 +7,7 @@ import sys
 import textwrap
 from typing import Any
 
-from stage.cli.commands import add_command, add_facts
+from stage.cli.command_interface import add_command, add_facts
 from stage.errors import ArgumentError
 
 PROMISED = "docs/benchmark.md says what is promised, and what is not."

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stage.envs
-from registerbench.baselines import few_shot, servo_formula, task_table, tuned_move
+from registerbench.baselines import few_shot_memory, move_tuning, servo_formula, task_table
 from stage import Stage, StageError
 from stage.chips import HCTL1100
 from stage.envs import machine_contexts
@@ -24,16 +24,19 @@ def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(mon
 
 @pytest.mark.slow
 def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
-    fixed, _ = few_shot.play_host(few_shot.make_fixed_host(3.4), "weak", 16, few_shot.TEST)
-    search, times = few_shot.play_host(few_shot.make_searching_host(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
+    fixed, _ = few_shot_memory.play_host(few_shot_memory.make_fixed_host(3.4), "weak", 16, few_shot_memory.TEST)
+    search, times = few_shot_memory.play_host(
+        few_shot_memory.make_searching_host(3.4 / few_shot_memory.STEP), "weak", 16, few_shot_memory.TEST
+    )
     assert (
-        few_shot.compute_interval(search, statistic=np.mean)[0] > few_shot.compute_interval(fixed, statistic=np.mean)[1]
+        few_shot_memory.compute_interval(search, statistic=np.mean)[0]
+        > few_shot_memory.compute_interval(fixed, statistic=np.mean)[1]
     )
     assert np.isfinite(times).mean() > 0.9
 
 
 def test_a_proof_of_a_move_is_over_many_angles():
-    with tuned_move.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=tuned_move.PROOF_SEED) as moves:
+    with move_tuning.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=move_tuning.PROOF_SEED) as moves:
         for _ in range(2):
             moves.make_moves_of_actions(np.zeros((2, moves.size)))
         assert len({angle for _, _, angle in moves.log.drawn}) == 4

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.examples import scaled
 
-from registerbench.baselines import formula, formula_knobs, tool_loop, tuned_move
-from registerbench.baselines.tuned_move import DISTANCE, PAYLOADS, MoveLog, MoveTuning, find_best_proof, prove_rows
+from registerbench.baselines import formula, formula_knobs, move_tuning, tool_calling_agent
+from registerbench.baselines.move_tuning import DISTANCE, PAYLOADS, MoveLog, MoveTuning, find_best_proof, prove_rows
 from stage import Stage
 from stage.errors import ArgumentError
 from stage.tune.formula import Load, compute_registers, plan_profile
@@ -189,8 +189,8 @@ def test_proofs_draw_the_margin_from_none_to_full_equally_for_all_candidates(axi
     first, second = prove_rows([row, row], 2.0, 2000, repeats=32, margin=1.0, needed=2)
     assert first == second
     kg = [drawn[1] for drawn in first.drawn]
-    assert 2.0 * (1 - tuned_move.TOLERANCE) < min(kg) < 2.2
-    assert 2.8 < max(kg) < 3.0 * (1 + tuned_move.TOLERANCE)
+    assert 2.0 * (1 - move_tuning.TOLERANCE) < min(kg) < 2.2
+    assert 2.8 < max(kg) < 3.0 * (1 + move_tuning.TOLERANCE)
     assert len({drawn[2] for drawn in first.drawn}) == 32
 
 
@@ -221,7 +221,7 @@ def test_a_baseline_accepts_a_model_and_a_margin():
         formula.make_formula_move(moves)
     rows = moves.log.registers
     assert find_best_proof(prove_rows(rows, 0.5, 2000, repeats=4, model="xy")) == 0
-    message = tuned_move.format_answer(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
+    message = move_tuning.format_answer(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
     assert "none of the best 1 keeps step in every repetition" in message
 
 
@@ -242,15 +242,15 @@ def test_stable_baselines3_accepts_the_vector_environment():
 
 
 def test_an_agent_with_only_tools_improves_a_move():
-    tuned = tool_loop.TuningSession(0.5, distance=4000, budget=12)
-    tool_loop.tune_by_coordinates(tuned)
+    tuned = tool_calling_agent.TuningSession(0.5, distance=4000, budget=12)
+    tool_calling_agent.tune_by_coordinates(tuned)
     assert len(tuned.log) == 12
     assert max(tuned.log.reward) > tuned.log.reward[0] + 0.02
     assert "All 12 moves are spent" in tuned.box.call("attempt").text
 
 
 def test_an_agent_with_empty_registers_is_informed_of_the_result():
-    tuned = tool_loop.TuningSession(0.5, distance=500, budget=1)
+    tuned = tool_calling_agent.TuningSession(0.5, distance=500, budget=1)
     assert "from 1 to 8191" in tuned.box.call("write_register", {"axis": "x", "name": "R2", "value": "0h"}).text
     assert tuned.box.call("attempt").data["all_pulses_made"] is False
     assert "R2" in tuned.task
@@ -261,9 +261,9 @@ def test_the_answer_passes_the_margin_and_has_the_best_mean_reward(axis):
     """The candidates are ordered so that a move that was lucky once comes first."""
     plans = [compute_registers(axis, 2000, safety_factor=safety) for safety in (1.5, 3.0)]
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in plans]
-    means = [np.mean(log.reward) for log in prove_rows(rows, 0.5, 2000, repeats=4, margin=tuned_move.MARGIN, needed=2)]
+    means = [np.mean(log.reward) for log in prove_rows(rows, 0.5, 2000, repeats=4, margin=move_tuning.MARGIN, needed=2)]
     rows = [rows[k] for k in np.argsort(means)]
-    which, again = tuned_move.choose_answer(rows, 0.5, 2000, repeats=4)
+    which, again = move_tuning.choose_answer(rows, 0.5, 2000, repeats=4)
     assert which == 1
     assert np.mean(again.reward) == max(means)
-    assert tuned_move.choose_answer(rows, 0.5, 2000, repeats=4, margin=200.0) is None
+    assert move_tuning.choose_answer(rows, 0.5, 2000, repeats=4, margin=200.0) is None

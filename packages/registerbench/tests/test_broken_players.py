@@ -12,8 +12,8 @@ import pytest
 from fake_model import FakeModel, calls
 
 from registerbench.arena import Limits, make_suite, play, replay
-from registerbench.arena.players.command import CommandPlayer
-from registerbench.arena.players.endpoint import EndpointPlayer
+from registerbench.arena.players.external_command import CommandPlayer
+from registerbench.arena.players.model_endpoint import EndpointPlayer
 from stage.cli import main
 
 SHORT = Limits(patience=0.15)

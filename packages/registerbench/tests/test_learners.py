@@ -16,7 +16,7 @@ from registerbench.score_statistics import compute_rows
 
 @pytest.fixture
 def rules():
-    from registerbench.baselines import rule_policies as rules
+    from registerbench.baselines import parametric_policies as rules
 
     return rules
 
@@ -60,7 +60,7 @@ def test_a_policy_with_memory_grows_bolder_until_it_loses_steps_and_then_bisects
     [("few-shot-wide", "es with memory"), ("one-shot", "es"), ("line", "es"), ("home", "es")],
 )
 def test_the_shipped_policy_plays_like_the_trained_one(rules, task, player):
-    from registerbench.baselines import rule_learners as learners
+    from registerbench.baselines import parametric_policy_learners as learners
 
     kind = rules.RULES[task, player]
     w = np.array(kind.INITIAL_NUMBERS) + 0.1
@@ -87,7 +87,7 @@ def test_the_shipped_policy_plays_like_the_trained_one(rules, task, player):
 @pytest.mark.slow
 def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
     pytest.importorskip("cmaes")
-    from registerbench.baselines import rule_learners as learners
+    from registerbench.baselines import parametric_policy_learners as learners
 
     learners.learn("few-shot", 0, tmp_path, machines=16)
     path = tmp_path / "few-shot_es-without-memory-0.csv"

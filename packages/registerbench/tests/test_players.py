@@ -9,8 +9,8 @@ import pytest
 from fake_model import FakeModel, calls, says
 
 from registerbench.arena import make_suite, play, replay
-from registerbench.arena.players.command import CommandPlayer
-from registerbench.arena.players.endpoint import EndpointPlayer
+from registerbench.arena.players.external_command import CommandPlayer
+from registerbench.arena.players.model_endpoint import EndpointPlayer
 from stage.errors import ArgumentError, StageError
 
 SOLVES = """

@@ -10,7 +10,7 @@ import pytest
 
 from registerbench.baselines import method_runs as published
 from registerbench.baselines.method_runs import MethodRun, MethodRuns
-from registerbench.baselines.tuned_move import MAX_HOLDING, REPEATS, MoveLog
+from registerbench.baselines.move_tuning import MAX_HOLDING, REPEATS, MoveLog
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA, PAGE = DOCS / "data" / "results.parquet", DOCS / "results.md"
@@ -18,8 +18,8 @@ DATA, PAGE = DOCS / "data" / "results.parquet", DOCS / "results.md"
 
 @pytest.fixture
 def results(monkeypatch):
-    module = importlib.import_module("registerbench.baselines.results")
-    monkeypatch.delitem(sys.modules, "registerbench.baselines.results")
+    module = importlib.import_module("registerbench.baselines.baseline_comparison")
+    monkeypatch.delitem(sys.modules, "registerbench.baselines.baseline_comparison")
     return module
 
 
@@ -123,7 +123,7 @@ def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path
 def test_the_page_states_the_command_that_generates_it(created, options, results):
     """The command includes non-default options such as `--model xy --payload 2`."""
     message = results.format_command(MethodRuns(16, 2, **created))
-    assert message == f"python -m registerbench.baselines.results {options}--budget 16 --seeds 2"
+    assert message == f"python -m registerbench.baselines.baseline_comparison {options}--budget 16 --seeds 2"
 
 
 def test_the_page_follows_from_the_published_moves(all_, results):

@@ -3,7 +3,7 @@
     pip install PyTmcStepper gpiozero pyserial
     python pytmcstepper_homing.py
 
-On a Raspberry Pi the library drives a TMC2209 in the same way, with its serial port and pins in place of those of the bench.
+On a Raspberry Pi the library drives a TMC2209 in the same way, with its serial port and pins in place of those of the host.
 """
 
 import sys
@@ -12,7 +12,7 @@ import types
 from gpiozero import Device
 from gpiozero.pins.mock import MockFactory, MockPin
 
-from pulsestage_trinamic.host_bench import HostBench
+from pulsestage_trinamic.single_board_host import SingleBoardHost
 from stage import Drive, Stage, firmware
 
 STEP, DIR, ENABLE, DIAG = 16, 20, 21, 26
@@ -23,14 +23,14 @@ LINES = {STEP: ("step", False), DIR: ("dir", False), ENABLE: ("enable", True)}
 class StagePin(MockPin):
     """Pin whose level drives a line of the axis x."""
 
-    bench: HostBench
+    host: SingleBoardHost
 
     def _set_state(self, value):
         super()._set_state(value)
         number = int(self.info.name.removeprefix("GPIO"))
         if self.function == "output" and number in LINES:
             line, is_inverted = LINES[number]
-            self.bench.set_line("x", line, bool(value) != is_inverted)
+            self.host.set_line("x", line, bool(value) != is_inverted)
 
 
 def main():
@@ -38,12 +38,12 @@ def main():
     stage = Stage("xyz", chips="stepdir", drives=Drive(power_stage="tmc2209", microsteps=8, current=1.2))
     x = stage.axes["x"]
     firmware.move(x, 0.14)
-    with HostBench(stage) as bench:
-        StagePin.bench = bench
+    with SingleBoardHost(stage) as host:
+        StagePin.host = host
         Device.pin_factory = MockFactory(pin_class=StagePin)
         diag = Device.pin_factory.pin(DIAG)
-        bench.watch_line("x", "diag", lambda level: diag.drive_high() if level else diag.drive_low())
-        path = bench.open_uart("x")
+        host.watch_line("x", "diag", lambda level: diag.drive_high() if level else diag.drive_low())
+        path = host.open_uart("x")
         for name in ("Mock", "Mock.GPIO"):  # the library asks for this module where there is no board
             sys.modules.setdefault(name, types.ModuleType(name))
         from tmc_driver import Loglevel, Tmc2209, TmcEnableControlPin, TmcMotionControlStepDir, tmc_gpio
@@ -51,7 +51,7 @@ def main():
         from tmc_driver.tmc_gpio._tmc_gpio_board_gpiozero import GpiozeroWrapper
 
         tmc_gpio.tmc_gpio = GpiozeroWrapper()
-        bench.replace_clock()
+        host.replace_clock()
         tmc = Tmc2209(
             TmcEnableControlPin(ENABLE), TmcMotionControlStepDir(STEP, DIR), TmcComUart(path), loglevel=Loglevel.INFO
         )

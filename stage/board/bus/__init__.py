@@ -1,1 +1,1 @@
-"""The bus cycles of a host, compiled: `requests` makes them, `host_record` is their state, `waiting` lets time pass."""
+"""The bus cycles of a host, compiled: `host_requests` makes them, `host_record` is their state, `host_time` lets time pass."""

@@ -118,7 +118,7 @@ HOST = record(
     until, max_cycles          when (ns), and after how many cycles, to call Python; cycles: so far
     lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
     stopped, collided, call    nothing more happens; two threads were inside at once; how to call Python
-    sources, level             the interrupt controller's table, see `interrupts`, and the processor's level
+    sources, level             the interrupt controller's table, see `interrupt_controller`, and the processor's level
     hooked_interrupt_mask      interrupt lines that have a hook
     hooked_interrupt_level     the highest level of these
     n_pending, top_level       sources that are pending, and the highest level of all that may call

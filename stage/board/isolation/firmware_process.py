@@ -20,8 +20,8 @@ import numpy as np
 
 from stage.board import crash_report, temporary_folders
 from stage.board.board import Board
-from stage.board.bus import host_record, requests
-from stage.board.bus.interrupts import ANY_INTERRUPT_LINE
+from stage.board.bus import host_record, host_requests
+from stage.board.bus.interrupt_controller import ANY_INTERRUPT_LINE
 from stage.board.errors import HostError
 from stage.board.host_record_link import NOTED, Link
 from stage.board.isolation.shared_memory import (
@@ -229,7 +229,7 @@ class ChildRunner(ThreadRunner):
         if name in self._reported or threading.current_thread() in link.abandoned:
             return
         self._reported.add(name)
-        mode = requests.set_usual_float_mode.c()
+        mode = host_requests.set_usual_float_mode.c()
         try:
             link.request(link.pointer, host_record.SETTLE, 0, 0)
             with suppress(StageError):  # the log is full
@@ -237,7 +237,7 @@ class ChildRunner(ThreadRunner):
                     f"{call} passes real time only, and no simulated time: ps_delay_us passes that"
                 )
         finally:
-            requests.restore_float_mode.c(mode)
+            host_requests.restore_float_mode.c(mode)
 
     def _wait_for_thread(self) -> None:
         """Give a thread that the firmware has started time for its first bus cycle, see `Link`. Runs in the firmware's

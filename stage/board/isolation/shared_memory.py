@@ -17,7 +17,7 @@ import numpy as np
 
 from stage.board.board import Board
 from stage.board.bus import host_record, serial_core
-from stage.board.bus.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
+from stage.board.bus.interrupt_controller import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
 from stage.board.host_record_link import NOTED
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.pin_assignment import WiringFinding

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from stage.cli import options
-from stage.cli.commands import add_command, add_facts
+from stage.cli.command_interface import add_command, add_facts
 from stage.cli.output_files import check_outputs, draw_plot, record_for_plot
 from stage.cli.stage_setup import make_stage
 

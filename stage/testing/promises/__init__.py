@@ -1,7 +1,7 @@
 """Promises that every chip must keep.
 
 Each promise is a function that raises `BrokenPromise` if a chip breaks it; see conformance.py. The functions check random actions
-(chip_acts.py) and moves as the chip's host driver writes them. The report of a broken promise shows the first paragraph of the
+(chip_actions.py) and moves as the chip's host driver writes them. The report of a broken promise shows the first paragraph of the
 function's docstring without "Check that".
 """
 

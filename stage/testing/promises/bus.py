@@ -12,7 +12,7 @@ from stage.chips import Chip, Diagnostic, contract
 from stage.chips.cycle_descriptions import MAX_LINE_LENGTH, decode
 from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
-from stage.testing.chip_acts import copy_state, describe_differences, perform_act, perform_acts
+from stage.testing.chip_actions import copy_state, describe_differences, perform_act, perform_acts
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 
 

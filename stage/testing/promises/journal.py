@@ -7,7 +7,7 @@ import numpy as np
 from stage.chips import Chip, core_interface
 from stage.chips.cycle_descriptions import decode
 from stage.chips.journal import Replay
-from stage.testing.chip_acts import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_acts
+from stage.testing.chip_actions import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_acts
 from stage.testing.promise_trial import (
     BrokenPromise,
     PromiseTrial,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stage.chips import Chip
-from stage.testing.chip_acts import (
+from stage.testing.chip_actions import (
     Act,
     count_clocks_to_end,
     draw_move,

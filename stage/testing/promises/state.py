@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.chips import Chip
 from stage.errors import ArgumentError
-from stage.testing.chip_acts import limit_pulses, perform_act, perform_acts
+from stage.testing.chip_actions import limit_pulses, perform_act, perform_acts
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial, describe_difference, read_visible_state
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from stage.chips import Chip, core_interface
 from stage.errors import StageError
-from stage.testing.chip_acts import (
+from stage.testing.chip_actions import (
     check_trace_room,
     copy_state,
     count_clocks_to_end,

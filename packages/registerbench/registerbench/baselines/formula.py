@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from registerbench.baselines.tuned_move import MoveTuning, format_answer, make_parser
+from registerbench.baselines.move_tuning import MoveTuning, format_answer, make_parser
 from stage.tune.formula import SAFETY_FACTOR, Load, compute_registers, plan_profile
 
 SAFETY_FACTORS = np.arange(2.0, 0.99, -0.05)  # safety factors that `try_safety_factors` tries

@@ -5,9 +5,9 @@ python -m registerbench.baselines.learning_curves learn -o quick --quick        
 python -m registerbench.baselines.learning_curves draw                           picture and table of the published runs
 python -m registerbench.baselines.learning_curves draw --runs runs               packs and draws your own runs
 
-one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a small rule, rule_learners.py. A point is the interquartile mean of
-          the returns of 32 test episodes with CMA-ES's mean, with its interval by the bootstrap over whole runs and episodes.
-          Nothing is chosen by these episodes
+one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a policy of few numbers, parametric_policy_learners.py. A point is
+          the interquartile mean of the returns of 32 test episodes with CMA-ES's mean, with its interval by the bootstrap over
+          whole runs and episodes. Nothing is chosen by these episodes
 bus       DQN with masks, bus_macros_learners.py. A point is the share of 64 machines of the split train, on which it does not
           learn, that the policy solves. It is 0 before a run has reached a level, and constant after the level has ended. The
           interval is by the bootstrap over runs
@@ -54,7 +54,7 @@ def learn_missing_runs(folder: Path, tasks: list[str], quick: bool) -> None:
         tasks: Names of the cards.
         quick: Whether to train only one short run of each task.
     """
-    from registerbench.baselines import rule_learners as rules
+    from registerbench.baselines import parametric_policy_learners as rules
 
     for task in (t for t in RUNS if t in tasks):
         for run in range(1 if quick else RUNS[task]):

@@ -1,4 +1,4 @@
-"""Runs of the methods that results.py compares: a search, the proofs of its best moves, and a test of its answer.
+"""Runs of the methods that baseline_comparison.py compares: a search, the proofs of its best moves, and a test of its answer.
 
     MethodRuns.read("data/results.parquet").runs[3].answer
 
@@ -22,8 +22,8 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 
-from registerbench.baselines import formula, searches, tool_loop
-from registerbench.baselines.tuned_move import (
+from registerbench.baselines import formula, searches, tool_calling_agent
+from registerbench.baselines.move_tuning import (
     CANDIDATES,
     LANES,
     MARGIN,
@@ -104,7 +104,7 @@ BOLDEST = Method("formula, boldest", formula.try_safety_factors, "#1d2733", len(
 METHODS = (
     FORMULA,
     BOLDEST,
-    Method("agent loop", tool_loop.search_by_technician, "#8a6bb8", 64, "registers", 1),
+    Method("agent loop", tool_calling_agent.search_by_technician, "#8a6bb8", 64, "registers", 1),
     Method("random", searches.search_randomly, "#d9a441"),
     Method("CMA-ES", searches.search_by_cma_es, "#17508f", lanes=8),
     Method("PPO", load_search_lazily("search_by_ppo"), "#d1571f"),

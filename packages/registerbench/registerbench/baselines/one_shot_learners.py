@@ -4,8 +4,8 @@ python -m registerbench.baselines.one_shot_learners learn sac --seed 0 -o runs
 python -m registerbench.baselines.one_shot_learners submit runs/one-shot_sac-0.zip -o entries
 
 Both learn rates and ramps for each distance and payload from scratch. `submit` plays the mean action of the final policy. Training
-has cheaper settings than the tests, like rule_learners.py. Nothing was chosen by test episodes. `learn` writes the policy and its
-curve, a CSV file with a row for each BATCH moves. Needs the extra `rl`.
+has cheaper settings than the tests, as in parametric_policy_learners.py. Nothing was chosen by test episodes. `learn` writes the
+policy and its curve, a CSV file with a row for each BATCH moves. Needs the extra `rl`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Measured outcomes of few-shot machines at every boldness. Rules play and learn on them without further moves.
 
     outcomes = measure_outcomes_by_boldness("few-shot-wide", 2000, 64)   tries 64 machines, seeds from 2000 on, at each BOLDNESS
-    outcomes.play_rule(RememberingRule, numbers)                         sums of rewards, (machines,), of a rule of rule_policies.py
+    outcomes.play_rule(RememberingRule, numbers)                         sums of rewards, (machines,), of a policy
     learn_rule(RememberingRule, outcomes, seed)                          finds the rule's numbers by CMA-ES on the outcomes
 
 A boldness b means the usual rates times b and the usual ramps divided by b. Whether an attempt keeps step is measured once. Two
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.baselines.rule_policies import ATTEMPTS, BoldnessRule, compute_bold_actions
+from registerbench.baselines.parametric_policies import ATTEMPTS, BoldnessRule, compute_bold_actions
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.benchmark_tasks import CARDS
 from stage.envs.few_shot import FewShotTuning

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
-from registerbench.baselines.tuned_move import MoveTuning, run_command_line
+from registerbench.baselines.move_tuning import MoveTuning, run_command_line
 from stage.envs.sb3 import VecEnvAdapter
 
 torch.set_num_threads(1)  # the networks are small, and the stages need the processors

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from registerbench.baselines.tuned_move import MoveTuning, run_command_line
+from registerbench.baselines.move_tuning import MoveTuning, run_command_line
 
 
 def search_randomly(moves: MoveTuning, seed: int = 0) -> None:

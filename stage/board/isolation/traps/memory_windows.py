@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.board import crash_report
-from stage.board.bus import host_record, requests
+from stage.board.bus import host_record, host_requests
 from stage.board.errors import HostError
 from stage.board.isolation.traps import x86_execution
 from stage.board.isolation.traps.signal_handlers import (
@@ -189,7 +189,7 @@ def _install_handler() -> None:
     """Install the handler of faults. Faults that are no accesses to windows go to the previous handler."""
     if not _thunks:
         _space["opcodes"], _space["signal"] = TABLE.ctypes.data, _get_address(_libc.signal)
-        _space["request"] = _get_address(requests.request.pointer)
+        _space["request"] = _get_address(host_requests.request.pointer)
         _thunks.append(_make_thunk())
     action = get_action(SIGSEGV)
     if action.handler != _thunks[0]:

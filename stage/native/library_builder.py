@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import NativeError
-from stage.native import library_manifest, object_files
+from stage.native import library_manifest, object_file_cache
 from stage.support.subprocesses import ENCODING, ERRORS
 
 NUMBA = "0.68.1"
@@ -116,7 +116,7 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
         ).hexdigest()[:16]
         target = object_cache / f"{name}-{digest}.o"
         objects.append(target)
-        if not object_files.is_intact(target):
+        if not object_file_cache.is_intact(target):
             for old in object_cache.glob(f"{name}-*.o*"):
                 old.unlink(missing_ok=True)
             missing.append((sum(known[m].stat().st_size for m in closure if m in known), [str(target), *modules]))

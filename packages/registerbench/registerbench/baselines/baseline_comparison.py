@@ -1,9 +1,9 @@
 """Comparison of all baselines: runs every method with its budget and seeds, for a light and a heavy payload, and writes the page.
 
-python -m registerbench.baselines.results                  writes docs/results.md, which states the duration, picture and data
-python -m registerbench.baselines.results --draw           writes page and picture from data/results.parquet in seconds
-python -m registerbench.baselines.results --quick --out build/results      no PPO and SAC, 64 moves, one payload
-python -m registerbench.baselines.results --model xy --payload 2 5 --out build/results
+python -m registerbench.baselines.baseline_comparison            writes docs/results.md, which states the duration, picture and data
+python -m registerbench.baselines.baseline_comparison --draw     writes page and picture from data/results.parquet in seconds
+python -m registerbench.baselines.baseline_comparison --quick --out build/results      no PPO and SAC, 64 moves, one payload
+python -m registerbench.baselines.baseline_comparison --model xy --payload 2 5 --out build/results
 
 Needs the extras `rl`, `plot` and `data`.
 """
@@ -35,7 +35,7 @@ from registerbench.baselines.method_runs import (
     MethodRun,
     MethodRuns,
 )
-from registerbench.baselines.tuned_move import (
+from registerbench.baselines.move_tuning import (
     CANDIDATES,
     DISTANCE,
     LIMIT,
@@ -280,7 +280,7 @@ def describe_price_of_losses(runs: list[MethodRun]) -> str:
 
 def format_command(method_runs: MethodRuns) -> str:
     """Return the command line that makes the page."""
-    words = ["python", "-m", "registerbench.baselines.results", *(["--quick"] if method_runs.quick else [])]
+    words = ["python", "-m", "registerbench.baselines.baseline_comparison", *(["--quick"] if method_runs.quick else [])]
     words += ["--model", method_runs.model] if method_runs.model != MODEL else []
     if not method_runs.payloads.items() <= PAYLOADS.items():
         words += ["--payload", *(f"{kg:g}" for kg in method_runs.payloads.values())]
@@ -361,7 +361,7 @@ last column omits the moves that lost steps: it is the gain of a method while al
 - The learning curves show the highest reward of a single move so far that kept step. It is higher than that of an answer, because
   such a move may have been lucky. The horizontal lines are the results of the formulas in the test.
 - PPO and SAC learn a policy, here for one situation only; their result is the best of the moves that they made during learning.
-- **agent loop** is a scripted agent that changes one register at a time, by tools alone (tool_loop.py). It contains no
+- **agent loop** is a scripted agent that changes one register at a time, by tools alone (tool_calling_agent.py). It contains no
   chance: one run.
 - **lucky** counts the moves with a higher reward that are not the answer; **moves that kept step** are those of the search.
 - **The promise** of an answer is that no step was lost in the {repeats} moves of its proof, with 0 to {margin:g} kg more. That

@@ -1,10 +1,10 @@
-"""`HostBench`: a program for a single-board computer drives a stage in this process, by pins, a serial port and its clock.
+"""`SingleBoardHost`: a program for a single-board computer drives a stage in this process, by pins, a serial port and its clock.
 
-    with HostBench(stage) as bench:
-        path = bench.open_uart("x")                a pseudo-terminal: the program's /dev/serial0
-        bench.watch_line("x", "diag", callback)    calls callback(level) when the line changes
-        bench.replace_clock()                      time.sleep and time.time_ns of the program are the stage's
-        bench.set_line("x", "step", True)          what its GPIO library does
+    with SingleBoardHost(stage) as host:
+        path = host.open_uart("x")                a pseudo-terminal: the program's /dev/serial0
+        host.watch_line("x", "diag", callback)    calls callback(level) when the line changes
+        host.replace_clock()                      time.sleep and time.time_ns of the program are the stage's
+        host.set_line("x", "step", True)          what its GPIO library does
 
 The program is not changed. Simulated time passes while it sleeps, waits for a reply, or asks for the time: each look at a clock
 takes CLOCK_READ_S, so that loops that wait for a moment end.
@@ -38,11 +38,11 @@ POLL_S = 200e-6
 CLOCKS = ("time", "monotonic", "perf_counter")
 
 
-class HostBench:
+class SingleBoardHost:
     """Pins, serial port and clock of a host program, for a stage whose axes have chips with a UART.
 
     Args:
-        stage: The stage; only this bench and the program may let its time pass.
+        stage: The stage; only this host and the program may let its time pass.
     """
 
     def __init__(self, stage: Stage):
@@ -57,7 +57,7 @@ class HostBench:
         self._real_functions: dict[str, Any] = {}
         self._real_sleep, self._epoch_ns = time.sleep, time.time_ns()
 
-    def __enter__(self) -> HostBench:
+    def __enter__(self) -> SingleBoardHost:
         return self
 
     def __exit__(
@@ -98,10 +98,10 @@ class HostBench:
             if not hasattr(self.stage.axes[name].chip, "uart"):
                 raise ArgumentError(f"open_uart({name!r}): the chip of this axis has no UART.")
         if self._end is not None or not axes:
-            raise ArgumentError("open_uart: name the axes of one wire; a bench has one serial port.")
+            raise ArgumentError("open_uart: name the axes of one wire; a host has one serial port.")
         self._wire = UartWire([self.stage.axes[name].chip.uart for name in axes], echoes=echo)
         self._end = PtyEnd()
-        self._server = threading.Thread(target=self._serve, name="UART of a HostBench", daemon=True)
+        self._server = threading.Thread(target=self._serve, name="UART of a SingleBoardHost", daemon=True)
         self._server.start()
         return str(self._end.path)
 

@@ -6,7 +6,7 @@ A host, in C or in Python, makes all its requests by one function, `request(host
 
 from __future__ import annotations
 
-from stage.board.bus import host_record, interrupts, serial_core, waiting
+from stage.board.bus import host_record, host_time, interrupt_controller, serial_core
 from stage.board.bus.host_record import DEVICE, EIGHT, IN8, IN16, LAST_PORT, OUT, OUT16, STRAY, append_to_trace
 from stage.chips import core_interface
 from stage.chips.journal_entries import INPUT, LOST, READ, WRITE
@@ -28,7 +28,7 @@ def _is_lost(host, chip, address, value):
     """Return 1 if a fault of the bus loses this write before it reaches the chip."""
     if host.checked_chips >> chip & 1 == 0:
         return 0
-    waiting.advance_stage_to_host(host)
+    host_time.advance_stage_to_host(host)
     host.call_chip, host.call_address, host.call_value = chip, address, value
     host_record.call_python(host, host_record.CHECK_WRITE)
     host.quiet = 0
@@ -49,9 +49,9 @@ def _write_chip(host, chip, address, value, trace_kind, trace_port, trace_value)
         trace_value: Value that the host wrote, for the bus trace.
     """
     lost = _is_lost(host, chip, address, value)
-    waiting.pass_bus_cycle(host)
+    host_time.pass_bus_cycle(host)
     if not host.stopped:
-        waiting.advance_chip(host, chip)
+        host_time.advance_chip(host, chip)
         if not lost:
             core_interface.write(host_record.get_chip(host, chip), address, value)
         if host.journals:
@@ -64,7 +64,7 @@ def _read_chip(host, chip, address):
     """Advance a chip to the host's time and read it."""
     if host.stopped:
         return 0xFFFF
-    waiting.advance_chip(host, chip)
+    host_time.advance_chip(host, chip)
     value = core_interface.read(host_record.get_chip(host, chip), address)
     if host.journals and array_at(host.acts, host.n_chips, INTEGER)[chip] >> address & 1:
         host_record.append_to_journal(host, READ, chip, address, value)
@@ -93,14 +93,14 @@ def _get_latches(host):
 def _access_device(host, port_record, kind, value):
     """Make a bus cycle at the device of a port, and return the answer."""
     if host_record.get_device(host, port_record.chip).access == 0:
-        waiting.advance_stage_to_host(host)
+        host_time.advance_stage_to_host(host)
     return host_record.access_device(host, port_record.chip, port_record.address, kind, value)
 
 
 @hot
 def _read_8_bits(host, port):
     """Read 8 bits from a port in one bus cycle."""
-    waiting.pass_bus_cycle(host)
+    host_time.pass_bus_cycle(host)
     p, value = _find_port(host, port), 0xFF
     kind = p.kind
     if kind in (host_record.NOTHING, host_record.LATCH):
@@ -109,7 +109,7 @@ def _read_8_bits(host, port):
         if kind == host_record.LATCHED:
             value = _read_chip(host, p.chip, _get_latches(host)[p.chip])
         elif kind == host_record.PULLS:
-            value = waiting.find_interrupt_mask(host) & (1 << least(host.n_chips, 8)) - 1
+            value = host_time.find_interrupt_mask(host) & (1 << least(host.n_chips, 8)) - 1
         elif kind == DEVICE:
             value = (
                 _access_device(host, p, IN8 if p.mask == EIGHT else IN16, 0)
@@ -121,7 +121,7 @@ def _read_8_bits(host, port):
         else:
             value = _read_chip(host, p.chip, p.address) & 0xFF
         p.read_line = append_to_trace(host, host_record.IN, port, value, p.read_line - 1) + 1
-    waiting.call_hooks(host)
+    host_time.call_hooks(host)
     return value
 
 
@@ -145,7 +145,7 @@ def _write_8_bits(host, port, value):
             value,
         )
     else:
-        waiting.pass_bus_cycle(host)
+        host_time.pass_bus_cycle(host)
         if kind == host_record.LATCH:
             _get_latches(host)[p.chip] = value & p.mask
         elif kind == DEVICE and p.mask == EIGHT:
@@ -154,7 +154,7 @@ def _write_8_bits(host, port, value):
             _access_device(host, p, OUT16, value << 8 | 0xFF if p.mask == host_record.UPPER else value | 0xFF00)
         whole = kind == host_record.LATCH or (kind == DEVICE and p.mask == EIGHT)
         append_to_trace(host, OUT if whole else OUT | STRAY, port, value, -1)
-    waiting.call_hooks(host)
+    host_time.call_hooks(host)
 
 
 @hot
@@ -172,14 +172,14 @@ def _read_16_bits(host, port):
     if not _accepts_16_bits(p):
         low = _read_8_bits(host, port)
         return _read_8_bits(host, port + 1 & LAST_PORT) << 8 | low
-    waiting.pass_bus_cycle(host)
+    host_time.pass_bus_cycle(host)
     value = 0xFFFF
     if p.kind == host_record.NOTHING:
         append_to_trace(host, host_record.IN_WIDE | STRAY, port, value, host.traced - 1)
     else:
         value = _access_device(host, p, IN16, 0) & 0xFFFF if p.kind == DEVICE else _read_chip(host, p.chip, p.address)
         p.read_line = append_to_trace(host, host_record.IN_WIDE, port, value, p.read_line - 1) + 1
-    waiting.call_hooks(host)
+    host_time.call_hooks(host)
     return value
 
 
@@ -194,20 +194,20 @@ def _write_16_bits(host, port, value):
     if p.kind == host_record.WORD:
         _write_chip(host, p.chip, p.address, value, host_record.OUT_WIDE, port, value)
     else:
-        waiting.pass_bus_cycle(host)
+        host_time.pass_bus_cycle(host)
         if p.kind == DEVICE:
             _access_device(host, p, OUT16, value)
         append_to_trace(
             host, host_record.OUT_WIDE if p.kind == DEVICE else host_record.OUT_WIDE | STRAY, port, value, -1
         )
-    waiting.call_hooks(host)
+    host_time.call_hooks(host)
 
 
 @hot
 def _let_poll_cycle_pass(host):
     """Let the time of one bus cycle pass when a host polls the time or the interrupt line, so that polling loops end."""
-    waiting.pass_bus_cycle(host)
-    waiting.call_hooks(host)
+    host_time.pass_bus_cycle(host)
+    host_time.call_hooks(host)
 
 
 @hot
@@ -220,12 +220,12 @@ def _report_refusal(host, code, a, b):
 @hot
 def _set_line_hook(host, hook, argument):
     """Set one hook for all interrupt lines."""
-    waiting.advance_stage_to_host(host)
-    s = interrupts.get_sources(host)[interrupts.ANY_INTERRUPT_LINE]
+    host_time.advance_stage_to_host(host)
+    s = interrupt_controller.get_sources(host)[interrupt_controller.ANY_INTERRUPT_LINE]
     s.level, s.hook, s.argument, s.interrupt_mask = 1, hook, argument, -1
-    interrupts.update_pending(host)
+    interrupt_controller.update_pending(host)
     host.quiet = 0
-    waiting.call_hooks(host)
+    host_time.call_hooks(host)
 
 
 @hot
@@ -239,42 +239,42 @@ def _set_source(host, code, settings):
     """
     number, level, source, interrupt_mask = settings[0], settings[1], -1, 0
     if code == host_record.TIMER:
-        if 0 <= number < interrupts.TIMERS and 0 <= settings[2] < host_record.MAX_DELAY_US * 1000:
-            source = interrupts.FIRST_TIMER + number
+        if 0 <= number < interrupt_controller.TIMERS and 0 <= settings[2] < host_record.MAX_DELAY_US * 1000:
+            source = interrupt_controller.FIRST_TIMER + number
     elif 0 <= number < host.n_chips + host.n_devices:
-        source, interrupt_mask = interrupts.FIRST_INTERRUPT_LINE + number, 1 << number
-    elif 0 <= number - interrupts.SOFTWARE_LINE < interrupts.SOFTWARE:
-        source = interrupts.FIRST_SOFTWARE + number - interrupts.SOFTWARE_LINE
+        source, interrupt_mask = interrupt_controller.FIRST_INTERRUPT_LINE + number, 1 << number
+    elif 0 <= number - interrupt_controller.SOFTWARE_LINE < interrupt_controller.SOFTWARE:
+        source = interrupt_controller.FIRST_SOFTWARE + number - interrupt_controller.SOFTWARE_LINE
     is_on = settings[3] != 0 and (code != host_record.TIMER or settings[2] != 0)
     if source < 0:
         _report_refusal(host, code, number, settings[2])
-    elif is_on and not 1 <= level <= interrupts.HIGHEST:
+    elif is_on and not 1 <= level <= interrupt_controller.HIGHEST:
         _report_refusal(host, code | host_record.WRONG_LEVEL, number, level)
     else:
-        waiting.set_source(host, source, interrupt_mask, settings, is_on)
+        host_time.set_source(host, source, interrupt_mask, settings, is_on)
 
 
 @hot
 def _set_level(host, level):
     """Set the level of the processor, unless `level` is negative, and call hooks that may run now. Return the previous level."""
     before = host.level
-    if level > interrupts.HIGHEST:
+    if level > interrupt_controller.HIGHEST:
         _report_refusal(host, host_record.LEVEL, level, 0)
     elif level >= 0:
-        interrupts.set_level(host, level)
-    waiting.call_hooks(host)
+        interrupt_controller.set_level(host, level)
+    host_time.call_hooks(host)
     return before
 
 
 @hot
 def _raise_software_interrupt(host, number):
     """Set the flag of a software interrupt."""
-    if not 0 <= number < interrupts.SOFTWARE:
+    if not 0 <= number < interrupt_controller.SOFTWARE:
         _report_refusal(host, host_record.RAISE, number, 0)
         return
-    interrupts.get_sources(host)[interrupts.FIRST_SOFTWARE + number].pending = 1
-    interrupts.update_pending(host)
-    waiting.call_hooks(host)
+    interrupt_controller.get_sources(host)[interrupt_controller.FIRST_SOFTWARE + number].pending = 1
+    interrupt_controller.update_pending(host)
+    host_time.call_hooks(host)
 
 
 @hot
@@ -283,7 +283,7 @@ def _check_stack(host):
     position = get_frame_address()
     if position < host.stack_low or position > host.stack_high:
         host.stack_checks -= 1
-        waiting.advance_stage_to_host(host)
+        host_time.advance_stage_to_host(host)
         host_record.call_python(host, host_record.ANOTHER_STACK)
 
 
@@ -324,21 +324,21 @@ def _control_interrupts(host, code, a, b):
 def _control_time(host, code, a, b):
     """Execute a request that waits, or that reads the time or the interrupt line; return what it reads, otherwise 0."""
     if code == host_record.DELAY:
-        waiting.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US) * 1000)
+        host_time.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US) * 1000)
     elif code == host_record.SPEND:
-        waiting.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US * 1000))
+        host_time.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US * 1000))
     elif code == host_record.MICROS:
         _let_poll_cycle_pass(host)
         return host_record.get_now(host) // 1000
     elif code == host_record.LINE:
         _let_poll_cycle_pass(host)
-        return 1 if waiting.find_interrupt_mask(host) else 0
+        return 1 if host_time.find_interrupt_mask(host) else 0
     elif code == host_record.UNTIL:
-        waiting.advance_host(host, a)
-        return 1 if b and waiting.find_interrupt_mask(host) else 0
+        host_time.advance_host(host, a)
+        return 1 if b and host_time.find_interrupt_mask(host) else 0
     elif code == host_record.SETTLE:
-        waiting.advance_stage_to_host(host)
-        interrupts.update_pending(host)
+        host_time.advance_stage_to_host(host)
+        interrupt_controller.update_pending(host)
         host.quiet = 0
     return 0
 
@@ -354,8 +354,8 @@ def _access_lines(host, code, where, argument):
         _report_refusal(host, code, chip, 0)
         return 0
     if has_cycle:
-        waiting.pass_bus_cycle(host)
-    waiting.advance_chip(host, chip)
+        host_time.pass_bus_cycle(host)
+    host_time.advance_chip(host, chip)
     c = host_record.get_chip(host, chip)
     word = core_interface.read_inputs(c, 0)
     if code == host_record.SET_LINES:
@@ -371,7 +371,7 @@ def _access_lines(host, code, where, argument):
         irq.watched, irq.levels = argument, word
         host.quiet = 0
     if has_cycle:
-        waiting.call_hooks(host)
+        host_time.call_hooks(host)
     return word
 
 
@@ -398,7 +398,7 @@ def _access_serial(host, code, a):
 def _send_serial(host, line, value):
     """Put a byte on the serial line, once its other end has made room."""
     if line.sent - line.read >= serial_core.ROOM:
-        waiting.advance_stage_to_host(host)
+        host_time.advance_stage_to_host(host)
         host_record.call_python(host, host_record.PAUSE)
         host.quiet = 0
     if serial_core.put_byte(line, value):
@@ -424,11 +424,11 @@ def execute(host, code, a, b):
         host_record.call_python(host, host_record.PAUSE)
         return -1
     if host.meter:
-        waiting.pass_computing_time(host)
+        host_time.pass_computing_time(host)
     if code <= OUT16 or code in (host_record.IN32, host_record.OUT32):
         return _access_ports(host, code, a & LAST_PORT, b)
     if host_record.WINDOW <= code <= host_record.BEYOND_WINDOW:
-        waiting.advance_stage_to_host(host)
+        host_time.advance_stage_to_host(host)
         host.call_chip, host.call_value, host.call_address = code, a, b
         host_record.call_python(host, host_record.WINDOW_REQUEST)
         return host.call_value
@@ -436,7 +436,7 @@ def execute(host, code, a, b):
         is_serial = host_record.SEND_SERIAL <= code <= host_record.SET_SERIAL_RATE
         return _access_serial(host, code, a) if is_serial else _access_lines(host, code, a, b)
     if code == host_record.LOG:
-        waiting.advance_stage_to_host(host)
+        host_time.advance_stage_to_host(host)
         host.call_value = a
         host_record.call_python(host, host_record.LINE_OF_LOG)
         return 0
@@ -456,7 +456,7 @@ def request(host, code, a, b):
             host.collided = 1
         return host_record.BUS_BUSY
     if host.serving:
-        interrupts.end_abandoned_hooks(host, get_frame_address())
+        interrupt_controller.end_abandoned_hooks(host, get_frame_address())
     mode = enter_usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
     value = execute(host, code & (host_record.FROM_PYTHON - 1), a, b)
     restore_previous_float_mode(mode)
@@ -467,13 +467,13 @@ def request(host, code, a, b):
 @exported("i8", host_record.HOST)
 def read_interrupt_mask(host):
     """Return a bit mask of the chips and devices that pull the interrupt line, without a bus cycle."""
-    return waiting.find_interrupt_mask(host)
+    return host_time.find_interrupt_mask(host)
 
 
 @exported(None, host_record.HOST)
 def update_interrupts(host):
     """Apply a table of interrupt sources that Python has changed."""
-    interrupts.update_pending(host)
+    interrupt_controller.update_pending(host)
 
 
 @exported("i8")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from stage.board.bus import host_record, interrupts
+from stage.board.bus import host_record, interrupt_controller
 from stage.board.bus.host_record import call_python, get_stage
-from stage.board.bus.interrupts import MARK, MARKED
+from stage.board.bus.interrupt_controller import MARK, MARKED
 from stage.chips import core_interface
 from stage.native import array_at, greatest, hot, least, stack_mark
 from stage.sim import engine_records
@@ -77,7 +77,7 @@ def _pass_cycle_time(host, ns):
     advance_stage_to_host(host)
     _pass_time(host, ns)
     if host_record.get_now(host) >= host.due:
-        interrupts.mark_due_timers(host)
+        interrupt_controller.mark_due_timers(host)
     if lazy:
         _find_quiet_time(host)
 
@@ -123,7 +123,7 @@ def _call_hooks(host):
         )
         if asserted == 0 and host.n_pending == 0:
             return
-        source = interrupts.choose_source(host, asserted)
+        source = interrupt_controller.choose_source(host, asserted)
         if source < 0:
             return
         if calls == host_record.STORM_CALLS:
@@ -138,9 +138,9 @@ def _call_hooks(host):
 def _call_hook(host, source):
     """Call the hook of a source, and restore the level of the processor after it."""
     advance_stage_to_host(host)
-    s, level, outer, outer_number = interrupts.get_sources(host)[source], host.level, host.serving, 0
+    s, level, outer, outer_number = interrupt_controller.get_sources(host)[source], host.level, host.serving, 0
     mark, missed = stack_mark(MARK, MARKED), s.missed
-    place = -1 if 0 < mark - host.stack_low < STACK_LEFT else interrupts.enter_hook(host, source, mark)
+    place = -1 if 0 < mark - host.stack_low < STACK_LEFT else interrupt_controller.enter_hook(host, source, mark)
     if place < 0:
         host.call_value = -1
         call_python(host, host_record.STORM)
@@ -148,7 +148,7 @@ def _call_hook(host, source):
     number, s.missed = host.called, 0
     host_record.append_to_trace(host, host_record.CALLED, source, missed, -1)
     host_record.call_host_function(host, s.hook, s.argument)
-    interrupts.end_hook(host, place, number, level, outer, outer_number, interrupts.BACK)
+    interrupt_controller.end_hook(host, place, number, level, outer, outer_number, interrupt_controller.BACK)
 
 
 @hot
@@ -212,7 +212,7 @@ def wait(host, ns):
         else:
             _run_until_interrupt(host, host.hooked_interrupt_mask, least(stop, host.until))
         if w.now >= host.due:
-            interrupts.mark_due_timers(host)
+            interrupt_controller.mark_due_timers(host)
         call_hooks(host)
 
 
@@ -237,7 +237,7 @@ def wait_for_line(host, ns):
         _run_until_interrupt(host, -1, least(end, host.until))
         asserted = find_interrupt_mask(host)
     if w.now >= host.due:
-        interrupts.mark_due_timers(host)
+        interrupt_controller.mark_due_timers(host)
     return 1 if asserted else 0
 
 
@@ -267,7 +267,7 @@ def set_source(host, source, interrupt_mask, settings, is_on):
         is_on: Whether the source has a hook from now on.
     """
     advance_stage_to_host(host)
-    s = interrupts.get_sources(host)[source]
+    s = interrupt_controller.get_sources(host)[source]
     s.level, s.hook, s.argument, s.interrupt_mask = (
         settings[1],
         settings[3] if is_on else 0,
@@ -277,7 +277,7 @@ def set_source(host, source, interrupt_mask, settings, is_on):
     s.period, s.next, s.missed = settings[2] if is_on else 0, host_record.get_now(host) + settings[2], 0
     if settings[2]:
         s.pending = 0
-    interrupts.update_pending(host)
+    interrupt_controller.update_pending(host)
     host.quiet = 0
     call_hooks(host)
 

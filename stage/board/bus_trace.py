@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stage.board.bus import host_record
-from stage.board.bus.interrupts import BACK, JUMPED, LOWERED
+from stage.board.bus.interrupt_controller import BACK, JUMPED, LOWERED
 from stage.board.interrupt_hooks import format_source_name
 from stage.support.argument_checks import explain_constructor
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board.bus import host_record, waiting
-from stage.board.bus.requests import execute
+from stage.board.bus import host_record, host_time
+from stage.board.bus.host_requests import execute
 from stage.chips.stepdir.state import DIR, ENABLE, STEP
 from stage.native import array_of, enter_usual_float_mode, exported, hot, record, restore_previous_float_mode
 
@@ -72,16 +72,16 @@ def _read_until(host, entry):
         if host.stopped or (value ^ entry.b) & mask == 0:
             break
         if entry.every and k < entry.times - 1:
-            waiting.wait(host, int(entry.every) * 1000)
+            host_time.wait(host, int(entry.every) * 1000)
     return value
 
 
 @hot
 def _wait_for_line(host, us):
     """Wait until the interrupt line is asserted; return 1 if it is. Like a LINE request, this takes one bus cycle."""
-    waiting.pass_bus_cycle(host)
-    asserted = waiting.wait_for_line(host, us * 1000)
-    waiting.call_hooks(host)
+    host_time.pass_bus_cycle(host)
+    asserted = host_time.wait_for_line(host, us * 1000)
+    host_time.call_hooks(host)
     return asserted
 
 
@@ -121,7 +121,7 @@ def run_batch(host, entries, answers):
         if host.stopped:
             break
         done += 1
-    waiting.advance_stage_to_host(host)
+    host_time.advance_stage_to_host(host)
     if host.stopped and done == len(entries):
         done -= 1
     host.lazy, host.until, host.max_cycles = lazy, until, max_cycles

@@ -1,8 +1,8 @@
-"""Learners from scratch on the tasks with continuous actions: CMA-ES chooses the numbers of a small rule (rule_policies.py).
+"""Learners from scratch on the tasks with continuous actions: CMA-ES chooses the numbers of a small rule (parametric_policies.py).
 
-python -m registerbench.baselines.rule_learners learn one-shot -o runs
-python -m registerbench.baselines.rule_learners learn few-shot-wide --seeds 0 1 2 3 4 5 6 7 8 9 -o runs
-python -m registerbench.baselines.rule_learners submit runs/few-shot-wide_*.json -o entries --splits train nova
+python -m registerbench.baselines.parametric_policy_learners learn one-shot -o runs
+python -m registerbench.baselines.parametric_policy_learners learn few-shot-wide --seeds 0 1 2 3 4 5 6 7 8 9 -o runs
+python -m registerbench.baselines.parametric_policy_learners submit runs/few-shot-wide_*.json -o entries --splits train nova
 
 A generation consists of POPULATION candidates, which play on the same machines of the split train (BUDGET); each generation of each
 run has other machines. The policy is the mean of CMA-ES's distribution after the last generation. Nothing is chosen by test
@@ -28,7 +28,7 @@ import numpy as np
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.outcomes_by_boldness import learn_rule, measure_outcomes_by_boldness
-from registerbench.baselines.rule_policies import RULES, BoldnessRule, Rule
+from registerbench.baselines.parametric_policies import RULES, BoldnessRule, Rule
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 

@@ -1,6 +1,6 @@
 """Agent that tunes the registers of a move only by calling tools: those of stage.agents, and one that makes the move.
 
-python -m registerbench.baselines.tool_loop --payload 10 --show
+python -m registerbench.baselines.tool_calling_agent --payload 10 --show
 
 `tune_by_coordinates` is a scripted agent that reads only the answers of tools. It changes one register at a time, by a further step
 while the score rises, then by smaller steps. docs/agents.md describes how a language model takes its place: a TuningSession has
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.baselines.tuned_move import (
+from registerbench.baselines.move_tuning import (
     DISTANCE,
     LIMIT,
     MODEL,

@@ -1,12 +1,12 @@
 """Upper limit of the worth of memory on FewShotTuning: every machine is tried at every boldness, and hosts play on that table.
 
-python -m registerbench.baselines.memory_worth
-python -m registerbench.baselines.memory_worth --tasks few-shot-wide --machines 128
+python -m registerbench.baselines.memory_worth_bound
+python -m registerbench.baselines.memory_worth_bound --tasks few-shot-wide --machines 128
 
 The hosts play on a table of outcomes_by_boldness.py, with machines of the split train:
 knows     knows the best boldness of each machine: no host can be better
 blind     uses the same eight numbers for all machines, the best that a search from STARTS sequences finds; it observes nothing
-looks     uses the rule with memory of rule_policies.py, whose numbers CMA-ES has found
+looks     uses the rule with memory of parametric_policies.py, whose numbers CMA-ES has found
 The printed figure is the mean sum of rewards of each. The numbers are chosen on the same machines, so each figure is
 optimistic. Needs the package cmaes (extra `rl`).
 """
@@ -25,7 +25,7 @@ from registerbench.baselines.outcomes_by_boldness import (
     learn_rule,
     measure_outcomes_by_boldness,
 )
-from registerbench.baselines.rule_policies import ATTEMPTS, RememberingRule
+from registerbench.baselines.parametric_policies import ATTEMPTS, RememberingRule
 
 FIRST_SEED, STARTS = 2000, 6
 

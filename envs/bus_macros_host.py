@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stage.envs import machine_contexts
-from stage.envs.hidden_machines import MachineTask
+from stage.envs.hidden_machine_task import MachineTask
 from stage.envs.macro_programs import OTHERS, RATES, MacroTable
 from stage.envs.observation_features import HOST, Feature
 from stage.native import record

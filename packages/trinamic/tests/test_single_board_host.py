@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pulsestage_trinamic.host_bench import HostBench
+from pulsestage_trinamic.single_board_host import SingleBoardHost
 from pulsestage_trinamic.tmc2209.uart_port import build_read, build_write
 from stage import Stage
 from stage.errors import ArgumentError
@@ -19,10 +19,10 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "pytmcstepper_homing.py"
 
 
 @pytest.fixture
-def bench():
+def host():
     stage = Stage("xy", chips="stepdir", drives={"x": "tmc2209", "y": "a4988"}, visuals=False)
-    with HostBench(stage) as bench:
-        yield bench
+    with SingleBoardHost(stage) as host:
+        yield host
 
 
 def read_all(port, size):
@@ -32,8 +32,8 @@ def read_all(port, size):
     return content
 
 
-def test_a_program_that_waits_at_the_pty_gets_the_echo_and_the_reply(bench):
-    port = os.open(bench.open_uart("x"), os.O_RDWR | os.O_NOCTTY)
+def test_a_program_that_waits_at_the_pty_gets_the_echo_and_the_reply(host):
+    port = os.open(host.open_uart("x"), os.O_RDWR | os.O_NOCTTY)
     request = build_read(3, 0x06)
     os.write(port, build_write(3, 0x40, 77) + request)
     received = read_all(port, 20)
@@ -41,42 +41,42 @@ def test_a_program_that_waits_at_the_pty_gets_the_echo_and_the_reply(bench):
     assert received[:8] == build_write(3, 0x40, 77)
     assert received[8:12] == request
     assert received[12:16] == bytes((5, 255, 6, 0x21))
-    chip = bench.stage.axes["x"].chip
+    chip = host.stage.axes["x"].chip
     assert (chip.read_register("SGTHRS"), chip.read_register("IFCNT")) == (77, 1)
-    assert 200 * 8681e-9 < bench.stage.time < 5e-3
+    assert 200 * 8681e-9 < host.stage.time < 5e-3
 
 
-def test_pins_step_the_motor_and_a_watched_line_calls_back(bench):
+def test_pins_step_the_motor_and_a_watched_line_calls_back(host):
     levels = []
-    bench.watch_line("x", "index", levels.append)
+    host.watch_line("x", "index", levels.append)
     for _ in range(64):
-        bench.set_line("x", "step", True)
-        bench.advance(100e-6)
-        bench.set_line("x", "step", False)
-        bench.advance(400e-6)
-    assert bench.stage.axes["x"].chip.read_register("MSCNT") == 0
+        host.set_line("x", "step", True)
+        host.advance(100e-6)
+        host.set_line("x", "step", False)
+        host.advance(400e-6)
+    assert host.stage.axes["x"].chip.read_register("MSCNT") == 0
     assert levels == [False, True]
-    assert not bench.read_line("x", "diag")
+    assert not host.read_line("x", "diag")
 
 
-def test_the_clock_of_the_program_is_that_of_the_stage_until_the_end(bench):
+def test_the_clock_of_the_program_is_that_of_the_stage_until_the_end(host):
     real_sleep = time.sleep
-    bench.replace_clock()
+    host.replace_clock()
     begin = time.monotonic()
     time.sleep(0.25)
     passed = time.monotonic() - begin
-    bench.close()
+    host.close()
     assert time.sleep is real_sleep
     assert passed == pytest.approx(0.25, abs=1e-4)
-    assert bench.stage.time == pytest.approx(0.25, abs=1e-4)
+    assert host.stage.time == pytest.approx(0.25, abs=1e-4)
 
 
-def test_a_chip_without_a_uart_and_a_second_port_are_refused(bench):
+def test_a_chip_without_a_uart_and_a_second_port_are_refused(host):
     with pytest.raises(ArgumentError, match="no UART"):
-        bench.open_uart("y")
-    bench.open_uart("x")
+        host.open_uart("y")
+    host.open_uart("x")
     with pytest.raises(ArgumentError, match="one serial port"):
-        bench.open_uart("x")
+        host.open_uart("x")
 
 
 @pytest.mark.skipif(

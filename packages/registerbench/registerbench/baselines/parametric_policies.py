@@ -1,4 +1,4 @@
-"""Small policies for the tasks of the benchmark, with a few numbers that a learner chooses (rule_learners.py).
+"""Small policies for the tasks of the benchmark, with a few numbers that a learner chooses (parametric_policy_learners.py).
 
 rule = RULES["few-shot-wide", "es with memory"](w, names, n)   w: numbers of the rule; names: features; n: number of machines
 actions = rule(observations)                                   (n, ...) each; one call for each step of an episode

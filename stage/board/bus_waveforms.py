@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.board.bus.host_record import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
-from stage.board.trace import KIND_BITS
+from stage.board.bus_trace import KIND_BITS
 from stage.recording.vcd_writer import HOST_SCOPE
 
 if TYPE_CHECKING:
