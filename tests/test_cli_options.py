@@ -301,7 +301,7 @@ def test_a_report_of_mistakes_has_the_first_of_each_kind_and_strays_by_their_tim
     chip = SimpleNamespace(diagnostics=diagnostics, clock_hz=1, count_edges_of=lambda d: 0)
     stray = SimpleNamespace(times=3)
     stage = SimpleNamespace(axes={}, chips=[chip])
-    print_report(SimpleNamespace(stage=stage, strays=[stray, SimpleNamespace(times=4)], name_chip=lambda k: "x"))
+    print_report(SimpleNamespace(stage=stage, strays=[stray, SimpleNamespace(times=4)], join_axis_names=lambda k: "x"))
     out = capsys.readouterr().out
     assert "chip of x: 4 bus writes that" in out
     assert re.findall(r"(\d+)\.000000 s, address 0 <- 11h: (.*)", out) == [

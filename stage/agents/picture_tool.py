@@ -32,7 +32,7 @@ def draw_report(report: Any, mode: str) -> Picture:
     if isinstance(report, Report):
         from stage.firmware.plot_move import draw_operation_pattern
 
-        pins = find_readable_pins(report.course.chip) if mode == "host" else None
+        pins = find_readable_pins(report.waveforms.chip) if mode == "host" else None
         figure = draw_operation_pattern(hide_truth(report) if mode == "host" else report, pins=pins)
         text = f"{report.procedure} on axis {report.axis}: pulse rate over time, {report.duration:.4f} s"
     elif mode == "truth":

@@ -120,8 +120,8 @@ class RecordingTools:
 
 def tabulate_waveform(report: Report) -> dict[str, Any]:
     """Return time, pulses and rate of a move as columns."""
-    net = report.course.edges["net"]
-    columns = {"seconds": report.course.seconds, "pulses": net - net[0], "pulses_per_second": report.rates}
+    net = report.waveforms.edges["net"]
+    columns = {"seconds": report.waveforms.seconds, "pulses": net - net[0], "pulses_per_second": report.rates}
     return {"move": report.procedure, "axis": report.axis, "columns": {n: thin_out(c) for n, c in columns.items()}}
 
 

@@ -347,7 +347,7 @@ class Board:
     @property
     def ports(self) -> dict[int, str]:
         """Description of each port that reaches a chip or device."""
-        names = {place.index: self.name_chip(place.index) for place in self.places}
+        names = {place.index: self.join_axis_names(place.index) for place in self.places}
         return {
             port: f"{names[int(p['chip'])]} {KINDS[int(p['kind'])].format(int(p['address']))}"
             if p["kind"] != DEVICE
@@ -356,14 +356,14 @@ class Board:
         }
 
     def __repr__(self) -> str:
-        members = [f"{self.name_chip(p.index)} at {p.first:03X}h ({p.layout.name})" for p in self.places]
+        members = [f"{self.join_axis_names(p.index)} at {p.first:03X}h ({p.layout.name})" for p in self.places]
         members += [device.name for device in self.devices]
         return f"<Board {', '.join(members)}; {self.cycles:,} cycles>"
 
     # --- inside ---
 
     @explain_arguments
-    def name_chip(self, chip: int) -> str:
+    def join_axis_names(self, chip: int) -> str:
         """Return the joined names of the axes that a chip drives, for example "xyz".
 
         Args:
@@ -385,7 +385,7 @@ class Board:
             if kind == NOTHING:
                 return "nothing is here"
             if kind == PULLS:
-                on = [self.name_chip(k) for k in range(len(self.stage.chips)) if value >> k & 1]
+                on = [self.join_axis_names(k) for k in range(len(self.stage.chips)) if value >> k & 1]
                 return f"interrupts: {', '.join(on) or 'none'}"
             if kind == HALF or (kind == DEVICE and mask == UPPER):
                 value = value << 8 | (0xFF if writes else 0)
@@ -402,7 +402,7 @@ class Board:
                     address = latches.get(port - 1, 0)
                 listener = listeners[chip]
                 words = listener.write(address, value) if writes else listener.read(address, value)
-            return f"{self.name_chip(chip)}: {words}"
+            return f"{self.join_axis_names(chip)}: {words}"
 
         return describe
 

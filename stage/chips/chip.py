@@ -486,7 +486,7 @@ class Chip(DeclaredAttributes):
         """Compute the magnitude of an axis' rate from each edge of its waveforms on, in pulses per reference clock.
 
         Args:
-            edges: EDGE records of the core, see `Journal.course`.
+            edges: EDGE records of the core, see `Journal.waveforms`.
         """
         return np.abs(edges["rate"])
 
@@ -495,7 +495,7 @@ class Chip(DeclaredAttributes):
         """Return whether an axis drives, from each edge of its waveforms on (bool).
 
         Args:
-            edges: EDGE records of the core, see `Journal.course`.
+            edges: EDGE records of the core, see `Journal.waveforms`.
         """
         return cls.compute_rates(edges) != 0
 

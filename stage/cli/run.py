@@ -329,7 +329,7 @@ def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[st
         for a in board.stage.axes.values()
     ]  # fmt: skip
     diagnostics = {
-        board.name_chip(k): [_collect_diagnostic(chip, d) for d in chip.diagnostics]
+        board.join_axis_names(k): [_collect_diagnostic(chip, d) for d in chip.diagnostics]
         for k, chip in enumerate(board.stage.chips)
     }
     return {
@@ -356,7 +356,7 @@ def print_report(board: Any, wiring_findings: Sequence[str] = ()) -> None:
             print(f"{axis.name} has lost steps without current: {reason}.")
     for k, chip in enumerate(board.stage.chips):
         if chip.diagnostics:
-            _print_diagnostics(board.name_chip(k), chip)
+            _print_diagnostics(board.join_axis_names(k), chip)
     if strays := board.strays:
         times = sum(c.times for c in strays)
         print(f"{times:,} bus cycles reached no chip or half a register, the first:\n{strays[0]}")

@@ -45,7 +45,7 @@ class Report:
             axis" of a
             line, or "unknown".
         residual: Down counter (R0) at the end; None for a chip without one.
-        course: Waveforms of the chip's pins and speed, by the clock.
+        waveforms: Waveforms of the chip's pins and speed, by the clock.
         statements: Decoded bytes that the host wrote: commands, and registers with all their bytes.
         unit: "m", or "rad" on a hinge.
         missing_current: Why the motor has no current afterwards, for example "ENABLE is not asserted"; "" if it has.
@@ -62,7 +62,7 @@ class Report:
     lost_steps: int | None
     stopped_by: str
     residual: int | None
-    course: Waveforms = field(repr=False)
+    waveforms: Waveforms = field(repr=False)
     statements: tuple[Statement, ...] = field(repr=False)
     unit: str = "m"
     missing_current: str = ""
@@ -76,19 +76,21 @@ class Report:
     @cached_property
     def average_rate(self) -> float:
         """Pulses in both directions divided by `duration`, pps."""
-        steps, seconds = np.abs(np.diff(self.course.edges["net"])), np.diff(self.course.seconds)
+        steps, seconds = np.abs(np.diff(self.waveforms.edges["net"])), np.diff(self.waveforms.seconds)
         counted = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET_RATE_LIMIT].sum())
         return counted / self.duration if self.duration else 0.0
 
     @property
     def began(self) -> float:
         """Seconds from the first byte to the first start; 0 if the axis never started."""
-        return float(self.course.seconds[running[0]]) if len(running := np.flatnonzero(self.course.running)) else 0.0
+        return (
+            float(self.waveforms.seconds[running[0]]) if len(running := np.flatnonzero(self.waveforms.running)) else 0.0
+        )
 
     @property
     def rates(self) -> np.ndarray:
         """Pulse rate after each edge of the waveforms, pps."""
-        return compute_rates(self.course)
+        return compute_rates(self.waveforms)
 
     def __str__(self) -> str:
         asked = "" if self.asked is None else f" of {self.asked}"
@@ -109,7 +111,7 @@ class Report:
 
     def _describe_undershoot(self) -> str:
         """Describe how far the down counter has counted below 0; "" if it has not."""
-        of = getattr(self.course.chip, "COUNTER", None)
+        of = getattr(self.waveforms.chip, "COUNTER", None)
         if of is None or self.residual is None:
             return ""
         _, bits = of
@@ -123,7 +125,7 @@ class Report:
         The first byte of a row goes to address 0. Further bytes belong to a register and go to the addresses 3, 2, 1 (the last
         byte always to 1).
         """
-        begin, hz = self.course.edges["clock"][0], self.course.clock_hz
+        begin, hz = self.waveforms.edges["clock"][0], self.waveforms.clock_hz
         return [(float(s.clock - begin) / hz - self.began, s.code, s.meaning) for s in self.statements]
 
     def listing(self) -> str:
@@ -187,9 +189,9 @@ class Report:
         return draw_operation_pattern(self, path, title, ax, overwrite)
 
 
-def compute_rates(course: Waveforms) -> np.ndarray:
+def compute_rates(waveforms: Waveforms) -> np.ndarray:
     """Return the unsigned pulse rate after each edge of waveforms, pps."""
-    return course.chip.compute_rates(course.edges) * course.clock_hz
+    return waveforms.chip.compute_rates(waveforms.edges) * waveforms.clock_hz
 
 
 class ProcedureObserver:
@@ -238,13 +240,13 @@ class ProcedureObserver:
         axis = self.axis
         residual = self.read_residual()
         self.journal.close()
-        course = self.journal.replay_waveforms()
-        net, running, seconds = course.edges["net"], np.flatnonzero(course.running), course.seconds
+        waveforms = self.journal.replay_waveforms()
+        net, running, seconds = waveforms.edges["net"], np.flatnonzero(waveforms.running), waveforms.seconds
         duration = float(seconds[min(running[-1] + 1, len(net) - 1)] - seconds[running[0]]) if len(running) else 0.0
         lost = axis.lost_steps
         return Report(
-            self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(compute_rates(course).max()),
+            self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(compute_rates(waveforms).max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
-            stopped_by, residual, course, tuple(decode(axis.chip.decoder(axis.chip_axis), self.journal.entries)),
+            stopped_by, residual, waveforms, tuple(decode(axis.chip.decoder(axis.chip_axis), self.journal.entries)),
             getattr(axis, "unit", "m"), axis.chip.explain_missing_current(axis.chip_axis),
         )  # fmt: skip

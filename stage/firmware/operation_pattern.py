@@ -39,7 +39,7 @@ class OperationPattern:
     ALWAYS: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, report: Report):
-        self.report, self.course = report, report.course
+        self.report, self.waveforms = report, report.waveforms
 
     def list_lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
         """List the relevant signals.
@@ -50,18 +50,18 @@ class OperationPattern:
         Returns:
             For each signal: an array that says whether it is on after each edge, its label and its color.
         """
-        chosen = self.LANES or tuple((pin, pin.upper(), BLUE) for pin in self.course.chip.OUTPUTS)
+        chosen = self.LANES or tuple((pin, pin.upper(), BLUE) for pin in self.waveforms.chip.OUTPUTS)
         visible = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.is_relevant(lane[0]))
-        return [(self.course.pin(pin), label, colour) for pin, label, colour in visible]
+        return [(self.waveforms.pin(pin), label, colour) for pin, label, colour in visible]
 
     def is_relevant(self, pin: str) -> bool:
         """Return whether a pin has a meaning in this move."""
-        on = self.course.pin(pin)
-        return pin in self.ALWAYS or bool(on.any() if pin in self.course.chip.INPUTS else on.any() and not on.all())
+        on = self.waveforms.pin(pin)
+        return pin in self.ALWAYS or bool(on.any() if pin in self.waveforms.chip.INPUTS else on.any() and not on.all())
 
     def find_minus_edges(self) -> np.ndarray:
         """Return a mask of the edges after which the axis moves in the minus direction."""
-        return np.diff(self.course.edges["net"], append=self.course.edges["net"][-1]) < 0
+        return np.diff(self.waveforms.edges["net"], append=self.waveforms.edges["net"][-1]) < 0
 
     def list_named_rates(self) -> dict[str, float]:
         """Return the rates that have names in the data sheet, pps."""

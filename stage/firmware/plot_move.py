@@ -53,8 +53,8 @@ def draw_operation_pattern(
     if ax is not None and not hasattr(ax, "get_window_extent"):
         raise ArgumentError(f"ax={ax!r}: give axes of Matplotlib, or None.")
 
-    pattern = get_driver_class(report.course.chip).PATTERN_CLASS(report)
-    t = report.course.seconds - report.began
+    pattern = get_driver_class(report.waveforms.chip).PATTERN_CLASS(report)
+    t = report.waveforms.seconds - report.began
     begin, end = _compute_time_range(report, t)
     t[0], t[-1] = min(t[0], begin), max(t[-1], end)  # nothing moves before and after
     scale, unit = (1e3, "ms") if end - begin < 2 else (1.0, "s")

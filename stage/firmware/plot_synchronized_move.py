@@ -133,7 +133,7 @@ def _draw_rates(ax: Any, report: SynchronizedReport) -> None:
     peak = 0.0
     for k, (name, r) in enumerate(report.axes.items()):
         ax.step(
-            (r.course.seconds - first) * scale, r.rates, where="post", color=AXIS_COLORS[k % len(AXIS_COLORS)], linewidth=1.4,
+            (r.waveforms.seconds - first) * scale, r.rates, where="post", color=AXIS_COLORS[k % len(AXIS_COLORS)], linewidth=1.4,
             label=f"{name}  {report.describe_rate(name)}",
         )  # fmt: skip
         peak = max(peak, r.peak_rate)

@@ -90,7 +90,12 @@ class FrameExecutor:
         """Return a JSON description of the board for a host."""
         board = self.board
         chips = [
-            {"chip": type(p.chip).__name__, "axes": board.name_chip(p.index), "port": p.first, "layout": p.layout.name}
+            {
+                "chip": type(p.chip).__name__,
+                "axes": board.join_axis_names(p.index),
+                "port": p.first,
+                "layout": p.layout.name,
+            }
             for p in board.places
         ]
         axes = {name: axis.unit for name, axis in board.stage.axes.items()}

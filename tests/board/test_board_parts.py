@@ -27,7 +27,7 @@ def test_a_device_of_sources_has_as_many_ports_as_its_text_says(monkeypatch, tex
 
 def test_a_chip_of_several_axes_has_its_first_port_by_any_of_them():
     board = Board(Stage("xyz", chips=MCX304, visuals=False), base={"y": 0x320})
-    assert [(place.first, board.name_chip(place.index)) for place in board.places] == [(0x320, "xyz")]
+    assert [(place.first, board.join_axis_names(place.index)) for place in board.places] == [(0x320, "xyz")]
     two = Stage("xy", chips=PCL240K, visuals=False)
     assert [place.first for place in Board(two, base={"y": 0x320, "x": 0x340}).places] == [0x340, 0x320]
     with pytest.raises(ArgumentError, match=r"base=\{'y': 800\}: the chip of axis x has no first port"):

@@ -32,7 +32,7 @@ def xyz(stage):
 def phases(report):
     """The order of chip phases of a move, for example ['fup', 'fkeep', 'fdown']."""
     observed = []
-    waveform = report.course
+    waveform = report.waveforms
     pins = {name: waveform.pin(name) for name in ("fup", "fkeep", "fdown")}
     running = ~waveform.pin("hold")
     for k in range(len(running)):
@@ -67,7 +67,7 @@ def test_a_long_move_is_a_trapezoid_and_a_short_one_a_triangle(x):
 def test_the_duration_of_a_move_is_its_running_time(x):
     """firmware.preset_move(x, 3, high_speed=False): the chip is busy from the start command to the end of the last pulse"""
     report = firmware.preset_move(x, 3, high_speed=False)
-    waveform = report.course
+    waveform = report.waveforms
     start, end = (waveform.seconds[1:][np.diff(waveform.running.astype(int)) == direction] for direction in (1, -1))
     assert report.duration == pytest.approx(end[0] - start[0], abs=1e-9)
     assert report.duration > 3 / Profile.of().fh1
@@ -101,9 +101,9 @@ def test_a_speed_change_move_reaches_every_rate_of_its_list(x):
     rates = [4000, 9000, 6000, 12_000, 3000]
     report = firmware.speed_change_move(x, 8000, rates, Profile.of(fl=1000, fh1=8000), dwell=0.1)
     assert report.ok
-    e = report.course.edges
-    is_constant_rate = report.course.pin("fkeep") & ~report.course.pin("hold")
-    observed = {round(float(r)) for r in (e["rate"] * report.course.clock_hz)[is_constant_rate]}
+    e = report.waveforms.edges
+    is_constant_rate = report.waveforms.pin("fkeep") & ~report.waveforms.pin("hold")
+    observed = {round(float(r)) for r in (e["rate"] * report.waveforms.clock_hz)[is_constant_rate]}
     for rate in rates:
         assert any(abs(s - rate) < 0.02 * rate for s in observed), (rate, observed)
 
@@ -112,7 +112,7 @@ def test_an_interrupted_move_resumes_its_residual_pulses(x):
     report = firmware.interrupted_move(x, 10_000, after=0.2, pause=0.1)
     assert report.ok
     assert report.pulses == 10_000
-    assert report.course.pin("irq").any(), "/INT at the interruption"
+    assert report.waveforms.pin("irq").any(), "/INT at the interruption"
     assert phases(report).count("fup") == 2
 
 
@@ -225,10 +225,10 @@ def test_sd_slows_a_move_that_allows_it_and_no_other(x):
 @pytest.mark.parametrize("high_speed", [True, False])
 def test_the_stop_raises_an_interrupt_on_request(x, high_speed):
     report = firmware.preset_move(x, 200, high_speed=high_speed, interrupt=True)
-    irq, hold = report.course.pin("irq"), report.course.pin("hold")
+    irq, hold = report.waveforms.pin("irq"), report.waveforms.pin("hold")
     assert irq[-1]
     assert not (irq & ~hold).any(), "not before it has stopped"
-    assert not firmware.preset_move(x, 200).course.pin("irq")[-1]
+    assert not firmware.preset_move(x, 200).waveforms.pin("irq")[-1]
 
 
 def test_an_interruption_after_the_end_of_a_move_writes_nothing(x):
@@ -251,7 +251,7 @@ def test_a_short_rest_of_an_interrupted_s_curve_move_ramps_by_a_lower_s_curve(fh
     profile = Profile.of(fl=500, fh1=8000, accel=0.2, chip=PCL240MS).with_ramp_shape(True, fh2)
     report = firmware.interrupted_move(Bench(x=PCL240MS()).axes["x"], pulses, profile, after=0.42, pause=0.05, fh2=fh2)
     assert (report.pulses, report.stopped_by, report.ok) == (pulses, "R0 = 0", True)
-    speed = report.course.edges["speed"]
+    speed = report.waveforms.edges["speed"]
     again = np.flatnonzero((speed[1:] > 0) & (speed[:-1] == 0)) + 1
     first, rest = speed[again[0] : again[1]], speed[again[1] :]
     assert profile.R1 < rest.max() < first.max() == profile.get_high_speed(fh2)
@@ -268,7 +268,7 @@ def test_the_rest_of_an_interrupted_move_gets_the_ramp_down_point_for_its_pulses
     profile = Profile.of(fl=500, fh1=8000, fh2=12_000, accel=0.25, decel=0.1)
     report = firmware.interrupted_move(Bench(x=chip()).axes["x"], pulses, profile, fh2=fh2, after=after, pause=0.05)
     assert (report.pulses, report.stopped_by) == (pulses, "R0 = 0")
-    edges, hold = report.course.edges, report.course.pin("hold")
+    edges, hold = report.waveforms.edges, report.waveforms.pin("hold")
     starts = np.flatnonzero(hold[:-1] & ~hold[1:]) + 1
     assert len(starts) == 2, "the start of the move, and that of its rest"
     r0, speed = int(edges["counter"][starts[1]]), edges["speed"][starts[1] :]
@@ -375,7 +375,7 @@ def test_an_end_limit_stops_within_one_pulse_and_allows_moves_back(xyz):
     xyz.place(x=0.149)
     slow = Profile.of(fl=500, fh1=1000)
     report = firmware.preset_move(x, 2000, slow)
-    waveform = report.course
+    waveform = report.waveforms
     reached = waveform.edges["net"][np.argmax(waveform.pin("el_plus"))]
     assert report.stopped_by == "EL+"
     assert waveform.edges["net"][-1] == reached, "no pulse begins after the switch"

@@ -75,7 +75,7 @@ def test_a_constant_speed_return_needs_no_sd(stage):
     stage.place(y=-0.06)
     report = firmware.origin_return(stage.axes["y"], high_speed=False)
     assert report.stopped_by == "ORG"
-    assert not report.course.pin("fup").any()
+    assert not report.waveforms.pin("fup").any()
 
 
 def test_a_constant_speed_return_writes_no_decelerating_stop(stage):
@@ -91,7 +91,7 @@ def test_a_constant_speed_return_writes_no_decelerating_stop(stage):
 def test_sd_slows_the_axis_to_fl_before_org_stops_it(stage):
     stage.reset()
     stage.place(x=-0.08)
-    waveform = firmware.origin_return(stage.axes["x"]).course
+    waveform = firmware.origin_return(stage.axes["x"]).waveforms
     org = np.flatnonzero(waveform.pin("org"))[0]
     sd = np.flatnonzero(waveform.pin("sd_minus"))[0]
     speed = waveform.edges["speed"]

@@ -78,11 +78,11 @@ def test_the_approach_is_at_most_fl_and_at_least_one_speed_step():
         x = make_axis_at(30)
         report = firmware.origin_return(x, -1, P, approach=approach, back_off=3)
         assert (report.stopped_by, x.rail_position) == ("ORG", 0)
-        assert report.course.edges["speed"][report.course.running][-1] == r1
+        assert report.waveforms.edges["speed"][report.waveforms.running][-1] == r1
 
 
 def test_sd_slows_the_return_to_fl_before_org():
-    waveform = firmware.origin_return(make_axis_at(12_000), -1, P, slow_approach=False).course
+    waveform = firmware.origin_return(make_axis_at(12_000), -1, P, slow_approach=False).waveforms
     org = np.flatnonzero(waveform.pin("org"))[0]
     assert waveform.edges["speed"][org] == P.R1
     assert waveform.pin("fdown").any()

@@ -37,7 +37,7 @@ def phases(report):
 
     A stop between two pulse edges ends with the fkeep of the pulse that is completed.
     """
-    waveform, observed = report.course, []
+    waveform, observed = report.waveforms, []
     running = ~waveform.pin("hold")
     pins = {name: waveform.pin(name) for name in ("fup", "fdown", "fkeep")}
     for k in np.flatnonzero(running):
@@ -50,7 +50,11 @@ def phases(report):
 def notes(report):
     from stage.firmware.driver import get_driver_class
 
-    return get_driver_class(report.course.chip).PATTERN_CLASS(report).make_notes(report.course.seconds - report.began)
+    return (
+        get_driver_class(report.waveforms.chip)
+        .PATTERN_CLASS(report)
+        .make_notes(report.waveforms.seconds - report.began)
+    )
 
 
 def test_the_page_of_patterns_is_up_to_date(reports):
@@ -152,7 +156,7 @@ def test_no_rate_is_labeled_while_the_axis_is_at_rest(reports):
 
     for name in ("ramping_and_interrupting", "end_limit"):
         report = reports[name]
-        t = report.course.seconds - report.began
+        t = report.waveforms.seconds - report.began
         assert all(
             rate > 0 for _, rate in plot_move._find_plateaus(report, {}, t, plot_move._compute_time_range(report, t))
         ), name
@@ -167,8 +171,8 @@ def test_notes_never_overlap(reports, monkeypatch):
         plot_move, "_measure_text_width", cache(plot_move._measure_text_width)
     )  # the same words stand in many
     for report in reports.values():
-        t = report.course.seconds - report.began
-        notes = get_driver_class(report.course.chip).PATTERN_CLASS(report).make_notes(t)
+        t = report.waveforms.seconds - report.began
+        notes = get_driver_class(report.waveforms.chip).PATTERN_CLASS(report).make_notes(t)
         limits, width = plot_move._compute_time_range(report, t), 500.0
         rows = plot_move._assign_note_rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]

@@ -163,7 +163,7 @@ def test_ramps_last_the_requested_time(stage):
     report = firmware.move(x, pulses=8000, accel=0.2)
     assert report.ok
     began, top = (np.flatnonzero(report.rates > share * report.rates.max())[0] for share in (0, 0.999))
-    assert report.course.seconds[top] - report.course.seconds[began] == pytest.approx(0.2, rel=0.03)
+    assert report.waveforms.seconds[top] - report.waveforms.seconds[began] == pytest.approx(0.2, rel=0.03)
 
 
 @each
@@ -174,7 +174,7 @@ def test_a_chip_without_a_second_rate_moves_at_the_higher_one(stage):
     )
     assert report.ok
     assert report.peak_rate == pytest.approx(20_000, rel=0.05)
-    at_first = np.diff(report.course.seconds)[np.abs(report.rates[:-1] - 10_000) < 50].sum()
+    at_first = np.diff(report.waveforms.seconds)[np.abs(report.rates[:-1] - 10_000) < 50].sum()
     assert at_first > 0.1 if x.chip.MAP.chip.startswith("PCL240") else at_first < 0.01
 
 
@@ -301,7 +301,7 @@ def test_the_drawing_of_a_run_has_the_command_that_stopped_it(stage):
     """firmware.jog(axis, 0.1, 0.02).plot()"""
     x = stage.axes["x"]
     report = firmware.jog(x, 0.05, 0.02, accel=0.2)
-    notes = get_driver(x).PATTERN_CLASS(report).make_notes(report.course.seconds - report.began)
+    notes = get_driver(x).PATTERN_CLASS(report).make_notes(report.waveforms.seconds - report.began)
     assert [note.words for note in notes if "decelerating stop" in note.words] == ["X decelerating stop"]
 
 
@@ -554,7 +554,7 @@ def test_s_curves_are_refused_by_chips_without_them():
             firmware.move(x, 1e-3, s_curve=True)
     x = Bench(x=MCX304()).axes["x"]
     straight, curved = (firmware.move(x, pulses=8000, s_curve=s) for s in (False, True))
-    early = [r.rates[np.searchsorted(r.course.seconds, r.began + 0.02)] for r in (straight, curved)]
+    early = [r.rates[np.searchsorted(r.waveforms.seconds, r.began + 0.02)] for r in (straight, curved)]
     assert early[0] == pytest.approx(1000 + 15_000 * 0.02 / 0.15, rel=0.05)
     assert early[1] == pytest.approx(1000 + 15_000 * 2 * (0.02 / 0.15) ** 2, rel=0.1), "the acceleration begins at 0"
     assert curved.pulses == straight.pulses == 8000
@@ -590,7 +590,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     assert report.plot(tmp_path / "a.png") is not None
     assert (tmp_path / "a.png").stat().st_size > 10_000
     pattern = get_driver_class(type(stage.axes["x"].chip)).PATTERN_CLASS(report)
-    t = report.course.seconds - report.began
+    t = report.waveforms.seconds - report.began
     notes = pattern.make_notes(t)
     assert any(not n.event for n in notes), "the start command"
     assert notes[-1].event, "why it stopped"
@@ -602,7 +602,7 @@ def test_the_drawing_of_a_line_names_its_interpolation_and_omits_register_writes
     axes = Stage("xy", chips=MCX514, visuals=False).axes
     report = firmware.line({"x": 3e-3, "y": 1e-3}, axes).axes["x"]
     words = [
-        n.words for n in get_driver(axes["x"]).PATTERN_CLASS(report).make_notes(report.course.seconds - report.began)
+        n.words for n in get_driver(axes["x"]).PATTERN_CLASS(report).make_notes(report.waveforms.seconds - report.began)
     ]
     assert "2-axis linear interpolation" in words
     assert not [w for w in words if "write" in w]

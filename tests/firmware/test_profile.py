@@ -58,7 +58,7 @@ def test_rates_and_ramp_times_of_a_profile_are_those_of_the_chip():
     p = Profile.of(fl=800, fh1=9000, fh2=14_000, accel=0.13, decel=0.21)
     report = firmware.continuous_move(Bench(PCL240K()).axes["x"], 0.3, 1, p, fh2=True)
     assert report.peak_rate == pytest.approx(p.fh2, rel=1e-12)
-    waveform = report.course
+    waveform = report.waveforms
     up, down = (np.flatnonzero(waveform.pin(n)) for n in ("fup", "fdown"))
     for ramp, seconds, rate in ((up, p.accel(fh2=True), p.R4), (down, p.decel(fh2=True), p.R5)):
         step = rate / p.clock_hz  # the first of a ramp-up and the last of a ramp-down are made at FL
@@ -82,13 +82,13 @@ def test_a_preset_move_of_any_length_ends_at_fl(trial):
     count = int(min(max(1, rng.uniform(0, 1.5) * limit), 300_000))
     report = firmware.preset_move(Bench(PCL240K()).axes["x"], count, p)
     assert report.ok
-    speed = report.course.edges["speed"]
+    speed = report.waveforms.edges["speed"]
     running = speed[speed > 0]
     assert running[-1] == p.R1
     slow = np.flatnonzero(speed > p.R1)
     if len(slow) and speed.max() == p.R2:
         stairs = (p.R2 - p.R1) * p.R5 / (16384 * p.R7)  # the chip's staircase makes so many fewer
-        assert 5 <= report.course.edges["counter"][slow[-1] + 1] + 1 <= 8 + stairs, (p, count)
+        assert 5 <= report.waveforms.edges["counter"][slow[-1] + 1] + 1 <= 8 + stairs, (p, count)
 
 
 def test_a_triangular_move_needs_two_pulses_more_than_the_printed_ramp_down_point():
@@ -97,7 +97,7 @@ def test_a_triangular_move_needs_two_pulses_more_than_the_printed_ramp_down_poin
     ends = {}
     for extra in (0, 2):
         report = firmware.preset_move(Bench(PCL240K()).axes["x"], 400, p, down_point=printed + extra)
-        speed = report.course.edges["speed"]
+        speed = report.waveforms.edges["speed"]
         ends[extra] = int(speed[speed > 0][-1])
     assert ends[0] > p.R1
     assert ends[2] == p.R1

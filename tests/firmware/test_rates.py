@@ -45,7 +45,7 @@ def test_the_minimum_number_of_pulses_of_a_dual_rate_move_ends_at_fl(x, rates):
     with pytest.raises(ArgumentError, match=f"at least {least} "):
         firmware.dual_rate_move(x, least - 1, P, rates=rates)
     report = firmware.dual_rate_move(x, least, P, rates=rates)
-    speed = report.course.edges["speed"]
+    speed = report.waveforms.edges["speed"]
     assert report.ok
     assert speed[speed > 0][-1] == P.R1
 
@@ -97,7 +97,7 @@ def test_an_end_limit_ends_speed_changes_and_curved_ramps(x, limit):
         report = run(x)
         assert (report.stopped_by, report.pulses, report.ok) == ("EL+", limit, False)
         assert x.time - started < 1.4
-        stop_s = report.course.seconds[np.flatnonzero(report.course.running)[-1] + 1] - report.began
+        stop_s = report.waveforms.seconds[np.flatnonzero(report.waveforms.running)[-1] + 1] - report.began
         assert max(t for t, code, _ in report.writes() if code in ("15", "17")) < stop_s, "no start after the stop"
         bench.add_rail("x", at=0)
 
@@ -118,7 +118,7 @@ def test_rates_from_fl_to_the_maximum_of_the_multiplier_are_reached(x):
         8191 * P.step
     )
     slow = firmware.speed_change_move(x, 300, [0.9991 * P.fl], P)
-    assert set(slow.course.edges["speed"][slow.course.running]) == {P.R1}
+    assert set(slow.waveforms.edges["speed"][slow.waveforms.running]) == {P.R1}
 
 
 def test_the_register_in_use_is_never_rewritten(x):
@@ -139,13 +139,13 @@ def test_a_curved_ramp_passes_its_rates_at_its_times(x):
     pieces = [(2000, 0.2), (6000, 0.1), (12_000, 0.1), (14_000, 0.2)]
     report = firmware.curved_ramp_move(x, 20_000, pieces, P)
     assert report.ok
-    seconds = report.course.seconds - report.began
+    seconds = report.waveforms.seconds - report.began
     begin = 0.0
     for rate, ramp in pieces:
         reached = seconds[np.argmax(report.rates >= 0.999 * rate)]
         assert reached == pytest.approx(begin + ramp, abs=1.5e-3)
         begin = reached
-    down = report.course.pin("fdown")
+    down = report.waveforms.pin("fdown")
     assert np.diff(np.flatnonzero(down)).max() == 1, "one line down"
 
 
@@ -154,7 +154,7 @@ def test_the_pieces_of_a_curved_ramp_stay_linear_with_an_s_curve_profile():
     profile = Profile.of(fl=1000, fh1=8000, accel=0.1, chip=PCL240MS).with_ramp_shape(True)
     report = firmware.curved_ramp_move(Bench(PCL240MS()).axes["x"], 8000, [(4000, 0.1), (12_000, 0.15)], profile)
     assert report.ok
-    seconds = report.course.seconds - report.began
+    seconds = report.waveforms.seconds - report.began
     for when, rate in [(0.025, 1750), (0.05, 2500), (0.075, 3250)]:
         assert report.rates[np.searchsorted(seconds, when, "right") - 1] == pytest.approx(rate, rel=0.03)
 

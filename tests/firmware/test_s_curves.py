@@ -26,7 +26,7 @@ def random_profiles(n, **options):
 
 def end_speed(report):
     """The speed register's value of the last pulses."""
-    running = report.course.edges[~report.course.pin("hold")]
+    running = report.waveforms.edges[~report.waveforms.pin("hold")]
     return running["speed"][-1]
 
 
@@ -64,7 +64,7 @@ def test_the_ramp_of_an_s_curve_starts_and_ends_gently():
     profile = Profile.of(fl=500, fh1=30_000, accel=0.2, chip=PCL240MS)
 
     def gains(s_curve):
-        waveform = firmware.preset_move(axis(PCL240MS), 30_000, profile, s_curve=s_curve).course
+        waveform = firmware.preset_move(axis(PCL240MS), 30_000, profile, s_curve=s_curve).waveforms
         up = waveform.pin("fup")
         t, speed = waveform.seconds[up], waveform.edges["speed"][up]
         return np.diff(np.interp(np.linspace(t[0], t[-1], 11), t, speed))
@@ -80,7 +80,7 @@ def test_fh_correction_keeps_a_short_s_curve_off_a_triangle():
     short = firmware.preset_move(axis(PCL240MS), 2000, profile)
     sharp = firmware.preset_move(axis(PCL240MS), 2000, profile, fh_correction=False)
     assert short.peak_rate < 0.9 * profile.fh1
-    keeps = short.course.pin("fkeep") & ~short.course.pin("hold")
+    keeps = short.waveforms.pin("fkeep") & ~short.waveforms.pin("hold")
     assert keeps.any()
     assert sharp.ok
     assert sharp.rates.max() != short.rates.max()

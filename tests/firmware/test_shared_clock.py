@@ -162,7 +162,7 @@ def test_the_command_makes_the_dual_rates_of_the_data_sheet(monkeypatch, rates, 
     )
     code, _, _ = run_command("dual-rate", "x", "20000", "--rates", rates, "--dwell", "0.15")
     assert (code, planned[0].pulses) == (0, 20_000)
-    waveform = planned[0].course
+    waveform = planned[0].waveforms
     observed = [
         next((p for p in ("fup", "fdown", "fkeep") if waveform.pin(p)[k]), "") for k in range(len(waveform.edges))
     ]

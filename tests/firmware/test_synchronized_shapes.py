@@ -80,14 +80,14 @@ def test_every_axis_rises_to_its_fh_and_ends_at_fl(chip, shape):
         report = synchronized_move(distances, bench(chip), accel=rng.uniform(0.02, 0.3), **shape)
         for n, a in report.plan.axes.items():
             fl, fh = a.registers["R1"], a.registers["R2"]
-            speeds = report.axes[n].course.edges["speed"]
+            speeds = report.axes[n].waveforms.edges["speed"]
             assert speeds.max() == fh
             assert fl <= speeds[speeds > 0][-1] <= fl + (0 if n == "x" else 0.02 * (fh - fl))
 
 
 def test_the_speed_follows_an_s():
     p = plan({"x": 20_000, "y": 8_000}, chips=PCL240MS, s_curve=True, accel=0.2)
-    waveform = synchronized_move(p, bench(PCL240MS)).axes["x"].course
+    waveform = synchronized_move(p, bench(PCL240MS)).axes["x"].waveforms
     up = p.axes["x"]
     fl, fh = up.registers["R1"], up.registers["R2"]
     began = waveform.edges["clock"][np.argmax(~waveform.pin("hold"))]

@@ -37,8 +37,8 @@ def read_report(report):
     if hasattr(report, "axes") and hasattr(report, "deviation"):  # of several axes, or a plan
         return {"text": str(report), "axes": {k: read_report(v) for k, v in report.axes.items()},
                 "ok": getattr(report, "ok", None), "deviation": str(report.deviation)}  # fmt: skip
-    if hasattr(report, "course"):
-        edges = report.course.edges
+    if hasattr(report, "waveforms"):
+        edges = report.waveforms.edges
         return {
             "end": report.stopped_by.replace(" = ", "=").replace(" ", "-"), "pulses": report.pulses, "seconds": report.duration,
             "numbers": [report.ok, report.asked, report.residual, report.lost_steps, len(edges)],

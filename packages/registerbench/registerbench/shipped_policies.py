@@ -40,55 +40,55 @@ class ScriptedPolicy:
         return self.env.scripted_action()
 
 
-class FixedBoldnessPolicy:
-    """Policy of few-shot with one boldness for all attempts: the usual speeds times it, the usual ramps divided by it."""
+class FixedSpeedFactorPolicy:
+    """Policy of few-shot with one speed factor for all attempts: the usual speeds times it, the usual ramps divided by it."""
 
-    def __init__(self, boldness: float):
-        self.boldness = boldness
+    def __init__(self, speed_factor: float):
+        self.speed_factor = speed_factor
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
-        return compute_bold_action(self.boldness)
+        return compute_scaled_action(self.speed_factor)
 
 
-class BoldnessSearch:
-    """Policy of few-shot that searches for the largest boldness at which the encoder shows no lost step.
+class SpeedFactorSearch:
+    """Policy of few-shot that searches for the largest speed factor at which the encoder shows no lost step.
 
-    It multiplies the boldness by STEP_FACTOR until an attempt fails, then tries between the boldest success and the tamest
+    It multiplies the speed factor by STEP_FACTOR until an attempt fails, then tries between the fastest success and the slowest
     failure (at BISECTION_SHARE of the way, on a logarithmic scale), until a step gains less than MIN_GAIN_FACTOR.
     """
 
-    STEP_FACTOR, BISECTION_SHARE, MIN_GAIN_FACTOR, RETREAT_FACTOR, FIRST_BOLDNESS = 1.12, 0.5, 1.1, 1.4, 3.4 / 1.12
+    STEP_FACTOR, BISECTION_SHARE, MIN_GAIN_FACTOR, RETREAT_FACTOR, FIRST_SPEED_FACTOR = 1.12, 0.5, 1.1, 1.4, 3.4 / 1.12
 
     def reset(self, context: PolicyContext) -> None:
         self.kept_indices = [k for k, name in enumerate(context.feature_names) if name == "kept"]
-        self.boldest_success: float | None = None
-        self.tamest_failure, self.latest, self.attempts = np.inf, self.FIRST_BOLDNESS, 0
+        self.fastest_success: float | None = None
+        self.slowest_failure, self.latest, self.attempts = np.inf, self.FIRST_SPEED_FACTOR, 0
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         if self.attempts:
             self._update_bounds(observation[self.kept_indices[min(self.attempts, len(self.kept_indices)) - 1]] > 0)
         self.attempts += 1
-        return compute_bold_action(self.latest)
+        return compute_scaled_action(self.latest)
 
     def _update_bounds(self, kept_step: bool) -> None:
         if kept_step:
-            self.boldest_success = max(self.boldest_success or 0.0, self.latest)
+            self.fastest_success = max(self.fastest_success or 0.0, self.latest)
         else:
-            self.tamest_failure = min(self.tamest_failure, self.latest)
-        if self.boldest_success is not None and self.boldest_success >= self.tamest_failure:
-            self.boldest_success = None  # the same boldness also failed, so its success was luck
-        if self.boldest_success is None:
-            self.latest = self.tamest_failure / self.RETREAT_FACTOR
+            self.slowest_failure = min(self.slowest_failure, self.latest)
+        if self.fastest_success is not None and self.fastest_success >= self.slowest_failure:
+            self.fastest_success = None  # the same speed factor also failed, so its success was luck
+        if self.fastest_success is None:
+            self.latest = self.slowest_failure / self.RETREAT_FACTOR
             return
-        between = self.boldest_success ** (1 - self.BISECTION_SHARE) * self.tamest_failure**self.BISECTION_SHARE
-        bolder = self.boldest_success * self.STEP_FACTOR if np.isinf(self.tamest_failure) else between
-        self.latest = bolder if bolder > self.boldest_success * self.MIN_GAIN_FACTOR else self.boldest_success
+        between = self.fastest_success ** (1 - self.BISECTION_SHARE) * self.slowest_failure**self.BISECTION_SHARE
+        faster = self.fastest_success * self.STEP_FACTOR if np.isinf(self.slowest_failure) else between
+        self.latest = faster if faster > self.fastest_success * self.MIN_GAIN_FACTOR else self.fastest_success
 
 
-class FinalTryBoldnessSearch(BoldnessSearch):
-    """Search for tasks whose last attempt is the answer: closer to the boldest success, and in the last attempt tamer than that."""
+class FinalTrySpeedFactorSearch(SpeedFactorSearch):
+    """Search for tasks whose last attempt is the answer: closer to the fastest success, in the last attempt slower than that."""
 
-    STEP_FACTOR, BISECTION_SHARE, MIN_GAIN_FACTOR, RETREAT_FACTOR, FIRST_BOLDNESS, FINAL_RETREAT_FACTOR = (
+    STEP_FACTOR, BISECTION_SHARE, MIN_GAIN_FACTOR, RETREAT_FACTOR, FIRST_SPEED_FACTOR, FINAL_RETREAT_FACTOR = (
         1.16,
         0.2,
         1.0,
@@ -99,15 +99,17 @@ class FinalTryBoldnessSearch(BoldnessSearch):
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         action = super().__call__(observation, info)
-        if self.attempts < few_shot.Config.tries or self.boldest_success is None:
+        if self.attempts < few_shot.Config.tries or self.fastest_success is None:
             return action
-        self.latest = self.boldest_success / self.FINAL_RETREAT_FACTOR
-        return compute_bold_action(self.latest)
+        self.latest = self.fastest_success / self.FINAL_RETREAT_FACTOR
+        return compute_scaled_action(self.latest)
 
 
-def compute_bold_action(boldness: float) -> np.ndarray:
-    """Compute the action of few-shot with the usual rates times a boldness and the usual ramps divided by it."""
-    return few_shot.action_of(1000 * min(boldness, 1.5), 16_000 * boldness, 0.15 / boldness, 0.15 / boldness)
+def compute_scaled_action(speed_factor: float) -> np.ndarray:
+    """Compute the action of few-shot with the usual rates times a speed factor and the usual ramps divided by it."""
+    return few_shot.action_of(
+        1000 * min(speed_factor, 1.5), 16_000 * speed_factor, 0.15 / speed_factor, 0.15 / speed_factor
+    )
 
 
 COMMON_PLAYERS: dict[str, Callable[[int], Policy]] = {"random": RandomPolicy, "scripted": lambda seed: ScriptedPolicy()}
@@ -119,15 +121,15 @@ TASK_PLAYERS: dict[str, dict[str, Callable[[int], Policy]]] = {
     "one-shot": FORMULA,
     "few-shot": FORMULA
     | {
-        "usual": lambda seed: FixedBoldnessPolicy(1.0),
-        "fixed": lambda seed: FixedBoldnessPolicy(3.4),
-        "search": lambda seed: BoldnessSearch(),
+        "usual": lambda seed: FixedSpeedFactorPolicy(1.0),
+        "fixed": lambda seed: FixedSpeedFactorPolicy(3.4),
+        "search": lambda seed: SpeedFactorSearch(),
     },
     "few-shot-wide": FORMULA
     | {
-        "usual": lambda seed: FixedBoldnessPolicy(1.0),
-        "fixed": lambda seed: FixedBoldnessPolicy(2.6),
-        "search": lambda seed: FinalTryBoldnessSearch(),
+        "usual": lambda seed: FixedSpeedFactorPolicy(1.0),
+        "fixed": lambda seed: FixedSpeedFactorPolicy(2.6),
+        "search": lambda seed: FinalTrySpeedFactorSearch(),
     },
     "line": FORMULA,
     "line-3": FORMULA,

@@ -20,7 +20,7 @@ import stage.envs
 from registerbench import entry_files, score_statistics
 from registerbench.benchmark_tasks import CARDS, Card, list_test_seeds
 from registerbench.entry_files import EntryError, unpack_entry
-from registerbench.shipped_policies import BoldnessSearch, FinalTryBoldnessSearch, RandomPolicy
+from registerbench.shipped_policies import FinalTrySpeedFactorSearch, RandomPolicy, SpeedFactorSearch
 from stage import ArgumentError
 from stage.cli import main
 from stage.envs import machine_contexts
@@ -403,7 +403,7 @@ def test_a_policy_class_is_instantiated_and_recorded_actions_follow_their_episod
 
 def test_shipped_players_use_the_boldness_that_their_task_requires_by_default():
     from registerbench.policies import make_player
-    from registerbench.shipped_policies import compute_bold_action
+    from registerbench.shipped_policies import compute_scaled_action
     from stage.envs.few_shot import action_of
 
     bold = {
@@ -414,7 +414,7 @@ def test_shipped_players_use_the_boldness_that_their_task_requires_by_default():
     assert bold["few-shot", "usual"].tolist() == action_of(1000, 16_000, 0.15, 0.15).tolist()
     assert bold["few-shot", "fixed"].tolist() == action_of(1500, 54_400, 0.15 / 3.4, 0.15 / 3.4).tolist()
     assert bold["few-shot-wide", "fixed"].tolist() == action_of(1500, 41_600, 0.15 / 2.6, 0.15 / 2.6).tolist()
-    assert compute_bold_action(1.2).tolist() == action_of(1200, 19_200, 0.125, 0.125).tolist()
+    assert compute_scaled_action(1.2).tolist() == action_of(1200, 19_200, 0.125, 0.125).tolist()
 
 
 def test_a_random_player_keeps_to_the_actions_that_are_allowed():
@@ -436,12 +436,12 @@ def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luc
             observed[2 * k + 1] = 1.0 if holds(k, player.latest) else -1.0
         return created
 
-    created = played(lambda k, boldness: boldness < 4.1, BoldnessSearch())
+    created = played(lambda k, speed_factor: speed_factor < 4.1, SpeedFactorSearch())
     assert created[:3] == pytest.approx([3.4 / 1.12, 3.4, 3.4 * 1.12])
     assert 4.1 / 1.25 < created[-1] < 4.1
-    lucky = played(lambda k, boldness: k < 2, BoldnessSearch())
+    lucky = played(lambda k, speed_factor: k < 2, SpeedFactorSearch())
     assert lucky[2:6] == pytest.approx([3.4 * 1.12, 3.4, 3.4 / 1.4, 3.4 / 1.4**2]), "at 3.4 it has held by luck"
-    careful = played(lambda k, boldness: boldness < 3.0, FinalTryBoldnessSearch())
+    careful = played(lambda k, speed_factor: speed_factor < 3.0, FinalTrySpeedFactorSearch())
     assert careful[-1] == pytest.approx(max(b for b in careful if b < 3.0) / 1.1), "its last try is its answer"
 
 

@@ -15,59 +15,61 @@ from registerbench.score_statistics import compute_rows
 
 
 @pytest.fixture
-def rules():
-    from registerbench.baselines import parametric_policies as rules
+def policies():
+    from registerbench.baselines import parametric_policies as policies
 
-    return rules
+    return policies
 
 
 NAMES = ("distance", "kept")
 
 
-def compute_boldness(rules, kind, w, *saved):
-    """Return the logarithm of the boldness of each attempt, after attempts that kept step (True) or did not."""
-    rule, tried = kind(w, NAMES), []
-    usual = rules.compute_bold_actions(np.ones(1))[0, 2]
-    per = (rules.compute_bold_actions(np.full(1, np.e))[0, 2] - usual).item()
+def compute_speed_factors(policies, kind, w, *saved):
+    """Return the logarithm of the speed factor of each attempt, after attempts that kept step (True) or did not."""
+    policy, tried = kind(w, NAMES), []
+    usual = policies.compute_scaled_actions(np.ones(1))[0, 2]
+    per = (policies.compute_scaled_actions(np.full(1, np.e))[0, 2] - usual).item()
     for k in range(len(saved) + 1):
         observed = np.array([[0.5, float(saved[k - 1]) if k else 0.0]])
-        tried.append((rule(observed)[0, 2] - usual) / per)
+        tried.append((policy(observed)[0, 2] - usual) / per)
     return pytest.approx(tried, abs=1e-5)
 
 
-def test_a_policy_without_memory_ignores_the_results_of_its_attempts(rules):
+def test_a_policy_without_memory_ignores_the_results_of_its_attempts(policies):
     w = (0.2, 0.4, 0.8)
-    assert compute_boldness(rules, rules.ScheduledRule, w, True, True) == [0.4, 0.5, 0.6]
-    assert compute_boldness(rules, rules.ScheduledRule, w, False, True) == [0.4, 0.5, 0.6]
+    assert compute_speed_factors(policies, policies.ScheduledPolicy, w, True, True) == [0.4, 0.5, 0.6]
+    assert compute_speed_factors(policies, policies.ScheduledPolicy, w, False, True) == [0.4, 0.5, 0.6]
 
 
-def test_a_policy_with_memory_grows_bolder_until_it_loses_steps_and_then_bisects(rules):
-    kind, w = rules.RememberingRule, (0.6, 0.0, 0.2, 0.25, 0.1)
-    assert compute_boldness(rules, kind, w, True, True) == [0.6, 0.8, 1.0]
-    assert compute_boldness(rules, kind, w, False, False) == [0.6, 0.2, -0.2]
-    assert compute_boldness(rules, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
-    assert compute_boldness(rules, kind, w, *[True] * 7) == [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 1.7], "back at last"
-    rule = kind(w, NAMES)
+def test_a_policy_with_memory_grows_bolder_until_it_loses_steps_and_then_bisects(policies):
+    kind, w = policies.RememberingPolicy, (0.6, 0.0, 0.2, 0.25, 0.1)
+    assert compute_speed_factors(policies, kind, w, True, True) == [0.6, 0.8, 1.0]
+    assert compute_speed_factors(policies, kind, w, False, False) == [0.6, 0.2, -0.2]
+    assert compute_speed_factors(policies, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
+    assert compute_speed_factors(policies, kind, w, *[True] * 7) == [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 1.7], (
+        "back at last"
+    )
+    policy = kind(w, NAMES)
     for observed in (0.0, 1.0, 0.0):  # the same try, once so and once so
-        rule(np.array([[0.5, observed]]))
-        rule.last[:] = 0.5
-    assert not np.isfinite(rule.boldest_success), "it was luck, and is forgotten"
-    assert rule.last == pytest.approx(0.5)
+        policy(np.array([[0.5, observed]]))
+        policy.last[:] = 0.5
+    assert not np.isfinite(policy.fastest_success), "it was luck, and is forgotten"
+    assert policy.last == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(
     ("task", "player"),
     [("few-shot-wide", "es with memory"), ("one-shot", "es"), ("line", "es"), ("home", "es")],
 )
-def test_the_shipped_policy_plays_like_the_trained_one(rules, task, player):
+def test_the_shipped_policy_plays_like_the_trained_one(policies, task, player):
     from registerbench.baselines import parametric_policy_learners as learners
 
-    kind = rules.RULES[task, player]
+    kind = policies.PARAMETRIC_POLICIES[task, player]
     w = np.array(kind.INITIAL_NUMBERS) + 0.1
     envs = learners.make_training_envs(task, 2, **learners.CHEAPER_SETTINGS.get(task, {}))
-    total, _, steps = learners.play_rule(envs, kind, w, 5)
+    total, _, steps = learners.play_policy(envs, kind, w, 5)
     envs.close()
-    card, policy = CARDS[task], learners.RulePolicy(kind, w.tolist())
+    card, policy = CARDS[task], learners.ParametricPolicyPlayer(kind, w.tolist())
     selected = {"memory": "last"} if "memory" in card.choices else {}
     env = gymnasium.make(
         card.id, disable_env_checker=True, **{**card.settings, **selected, **learners.CHEAPER_SETTINGS.get(task, {})}
@@ -101,30 +103,31 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
     assert entry.scores["return"][: learners.EPISODES] == pytest.approx(last, abs=1e-3), "the curve's end is the entry"
 
 
-def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(rules):
-    from registerbench.baselines.outcomes_by_boldness import BOLDNESS, OutcomesByBoldness
+def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(policies):
+    from registerbench.baselines.outcomes_by_speed_factor import SPEED_FACTORS, OutcomesBySpeedFactor
 
     edge = np.array([2.0, 4.0])
-    saved = BOLDNESS[:, None] < edge
-    worth = np.where(saved, np.log(BOLDNESS)[:, None], 0.0)
-    table = OutcomesByBoldness(saved, saved, worth, np.zeros(2), False, 0, 0.05)
+    saved = SPEED_FACTORS[:, None] < edge
+    worth = np.where(saved, np.log(SPEED_FACTORS)[:, None], 0.0)
+    table = OutcomesBySpeedFactor(saved, saved, worth, np.zeros(2), False, 0, 0.05)
     at = table.find_nearest_rows(np.log([1.9, 2.1, 3.9]))
     assert saved[at].tolist() == [[True, True], [False, True], [False, True]]
     best = table.sum_rewards(np.array([at[0], at[2], at[1]])[:, None])
     assert best == pytest.approx([worth[at[0], 0] - 2 * 0.05, worth[at[2], 1]])
     answer = dataclasses.replace(table, last_attempt_counts=True)
     assert answer.sum_rewards(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
-    w = rules.RememberingRule.INITIAL_NUMBERS
+    w = policies.RememberingPolicy.INITIAL_NUMBERS
     closed_in, blind = (
-        answer.play_rule(kind, kind.INITIAL_NUMBERS) for kind in (rules.RememberingRule, rules.ScheduledRule)
+        answer.play_policy(kind, kind.INITIAL_NUMBERS)
+        for kind in (policies.RememberingPolicy, policies.ScheduledPolicy)
     )
     assert (closed_in > np.log(edge) - 0.2 - 5 * 0.05).all(), (
         "close to each machine's edge, after five tries that were lost"
     )
     assert blind[0] == blind[1] < closed_in[1], "the same for both"
     assert (
-        table.select_first_machines(1).play_rule(rules.RememberingRule, w)
-        == table.play_rule(rules.RememberingRule, w)[:1]
+        table.select_first_machines(1).play_policy(policies.RememberingPolicy, w)
+        == table.play_policy(policies.RememberingPolicy, w)[:1]
     )
 
 

@@ -122,7 +122,7 @@ def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> Figures:
     with make_fault(faults.bounce, x, "org", BOUNCE_S):
         stage.place(**{x.name: find_touch(x, "org") + 0.002})
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
-    waveform = report.course
+    waveform = report.waveforms
     org, time = waveform.edges["inputs"] & x.chip.find_switch_input("org") != 0, waveform.seconds
     first = int(org.argmax())
     in_bounce = (time[:-1] >= time[first]) & (time[:-1] < time[first] + 1.5 * BOUNCE_S)

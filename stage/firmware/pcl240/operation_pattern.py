@@ -34,12 +34,12 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
 
     def is_relevant(self, pin: str) -> bool:
         if pin == "pdir":
-            return len(set(self.find_minus_edges()[self.course.running].tolist())) > 1
-        return pin in self.ALWAYS or bool(self.course.pin(pin).any())
+            return len(set(self.find_minus_edges()[self.waveforms.running].tolist())) > 1
+        return pin in self.ALWAYS or bool(self.waveforms.pin(pin).any())
 
     def find_minus_edges(self) -> np.ndarray:
         """Return a mask of the edges after which the axis moves in the minus direction."""
-        return self.course.pin("pdir")
+        return self.waveforms.pin("pdir")
 
     def list_named_rates(self) -> dict[str, float]:
         """Return FL, FH1 and FH2 in pps, if a command selects them and their register was written only once."""
@@ -51,7 +51,7 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
             elif s.kind == "command" and (byte := int(s.code, 16)) & START and byte & GROUP == OPERATE:
                 used.add(name_speed(byte))
                 used |= {"FL"} if byte & RAMP else set()
-        step = self.course.clock_hz / (8192.0 * max(next(iter(values.get("R7", {1}))), 1))
+        step = self.waveforms.clock_hz / (8192.0 * max(next(iter(values.get("R7", {1}))), 1))
         names = {"FL": "R1", "FH1": "R2", "FH2": "R3"}
         once = {n: values[r] for n, r in names.items() if n in used and len(values.get(r, ())) == 1}
         return {n: next(iter(v)) * step for n, v in once.items()}
@@ -64,8 +64,8 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
         Args:
             times: Times of the edges of the report's waveform, s from the first start.
         """
-        report, course = self.report, self.course
-        hold, clocks = course.pin("hold"), course.edges["clock"]
+        report, waveforms = self.report, self.waveforms
+        hold, clocks = waveforms.pin("hold"), waveforms.edges["clock"]
         notes: list[PatternNote] = []
         ahead: list[str] = []
         for (when, code, _), s in zip(report.writes(), report.statements, strict=True):
@@ -82,7 +82,7 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
             if (
                 byte & (START | STOP | RAMP | SPEED) == START | RAMP | FL
                 and not halted
-                and not course.pin("fdown")[np.searchsorted(clocks, s.clock, "right") - 1]
+                and not waveforms.pin("fdown")[np.searchsorted(clocks, s.clock, "right") - 1]
             ):
                 words = "ramps on"
             if words:
@@ -92,9 +92,9 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
             group = byte & GROUP
             if not words and (byte == STOP or group == CONTROL or (group == OUTPUT and byte & OUTPUT_BITS)):
                 ahead = [a for a in ahead if a[0] != code[0]] + [f"{code}h"]  # the latest of a group counts
-        falls = course.pin("fdown") & course.pin("lt") & ~hold
-        for k in np.flatnonzero(falls[1:] & ~course.pin("lt")[:-1]) + 1:
-            notes.append(PatternNote(float(times[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
+        falls = waveforms.pin("fdown") & waveforms.pin("lt") & ~hold
+        for k in np.flatnonzero(falls[1:] & ~waveforms.pin("lt")[:-1]) + 1:
+            notes.append(PatternNote(float(times[k]), "", f"R0 < R6 = {waveforms.edges['counter'][k] + 1:,d}", True))
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
     def describe_end(self) -> list[PatternNote]:

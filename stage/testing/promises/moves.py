@@ -20,7 +20,7 @@ from stage.testing.chip_actions import (
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial, read_counter
 
 
-def check_move_signals(trial: PromiseTrial) -> None:
+def check_outputs_during_move(trial: PromiseTrial) -> None:
     """Check that busy, net, counter and pins agree with the trace during the whole of a move by the host driver."""
     for rng in trial.seeded_generators():
         for chip, axis, pulses in trial.start_moves(rng):
@@ -80,7 +80,7 @@ def check_limit_switches(trial: PromiseTrial) -> None:
             free = chip.make_replica()
             free.advance(count_clocks_to_end(free, axis))
             if free.net(axis) - chip.net(axis) != pulses:
-                continue  # `check_move_signals` tells
+                continue  # `check_outputs_during_move` tells
             for switch, direction in (("el_plus", 1), ("el_minus", -1)):
                 bit = trial.chip_class.find_switch_input(switch)
                 if not bit:

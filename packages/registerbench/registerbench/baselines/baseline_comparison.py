@@ -235,7 +235,7 @@ def describe_verdict(runs: list[MethodRun], payload: str, against: Method) -> st
     )
 
 
-def format_comparison(runs: list[MethodRun], payloads: dict[str, float]) -> list[str]:
+def format_gain_table(runs: list[MethodRun], payloads: dict[str, float]) -> list[str]:
     """Format the table of the gains on which the verdicts rest."""
     lines = [
         "| payload | against | method | runs | by reward, ms | in time, ms | by reward where steps were kept, ms |",
@@ -298,7 +298,7 @@ def format_page(method_runs: MethodRuns) -> str:
         made_by=format_command(method_runs), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads,
         budget=method_runs.budget, seeds=method_runs.seeds,
         limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts),
-        comparison="\n".join(format_comparison(runs, payloads_)),
+        comparison="\n".join(format_gain_table(runs, payloads_)),
         versions=versions, minutes=method_runs.took / 60, moves=sum(len(r.search_log) for r in runs),
         more=sum(len(log) for r in runs for log in (*r.proof_logs.values(), *r.test_logs.values())), safety=formula.SAFETY_FACTOR,
         held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=method_runs.model,
@@ -441,7 +441,7 @@ def draw_move_rates(ax: Any, runs: list[MethodRun], payload: str, mass: float, m
         if not answered:
             continue
         middle = sorted(answered, key=lambda r: r.compute_mean("reward"))[len(answered) // 2]
-        waveform = repeat_move(middle.registers, mass, model).course
+        waveform = repeat_move(middle.registers, mass, model).waveforms
         running = np.flatnonzero(~waveform.pin("hold"))
         t, rate = (waveform.seconds - waveform.seconds[running[0]]) * 1e3, compute_rates(waveform) / 1e3
         moving = slice(running[0], running[-1] + 2)

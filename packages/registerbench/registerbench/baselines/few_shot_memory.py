@@ -3,12 +3,12 @@
 python -m registerbench.baselines.few_shot_memory
 python -m registerbench.baselines.few_shot_memory --splits train heavy weak --machines 64
 
-A boldness b stands for a move with the usual rates times b and the usual ramps divided by b. Three hosts choose it:
+A speed factor b stands for a move with the usual rates times b and the usual ramps divided by b. Three hosts choose it:
 usual    always chooses 1
-fixed    chooses the same number for every attempt on every machine: the best of BOLDNESS on machines of the split train
-search   begins STEP below that number. After an attempt that kept step by the encoder it is bolder by STEP. After an attempt that
-         lost steps it goes half way (by ratio) back to the boldest success, until that is CLOSE. It retreats by RETREAT if no
-         attempt has succeeded, or if a boldness that succeeded has failed since. It needs to remember two numbers
+fixed    chooses the same number for every attempt on every machine: the best of SPEED_FACTORS on machines of the split train
+search   begins STEP below that number. After an attempt that kept step by the encoder it is faster by STEP. After an attempt that
+         lost steps it goes half way (by ratio) back to the fastest success, until that is CLOSE. It retreats by RETREAT if no
+         attempt has succeeded, or if a speed factor that succeeded has failed since. It needs to remember two numbers
 The table has the mean sum of rewards of an episode, log(2 x usual time / proved cost) - damage, with its 95 % interval by the
 bootstrap; the number of machines with a proved answer; and the median proved cost on these.
 """
@@ -22,25 +22,25 @@ import gymnasium
 import numpy as np
 
 from registerbench.score_statistics import compute_interval
-from registerbench.shipped_policies import compute_bold_action
+from registerbench.shipped_policies import compute_scaled_action
 from stage.envs.machine_contexts import SPLITS
 
-BOLDNESS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
+SPEED_FACTORS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
 STEP, CLOSE, RETREAT = 1.12, 1.1, 1.4
 TRAIN, TEST = 0, 1_000_000  # first seeds of the machines on which `fixed` is chosen, and of those that test all hosts
 LANES = 16
 
-BoldnessHost = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Function (boldness of the last attempt, whether it kept step) of all machines -> boldness of the next attempt, (machines,)."""
+SpeedFactorHost = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Function of the last attempt (speed factor, whether it kept step) that returns the next speed factor; arrays, (machines,)."""
 
 
-def make_fixed_host(boldness: float) -> Callable[[int], BoldnessHost]:
-    """Make a host that chooses the same boldness for every attempt."""
-    return lambda machines: lambda last_boldness, in_step: np.full(machines, boldness)
+def make_fixed_host(speed_factor: float) -> Callable[[int], SpeedFactorHost]:
+    """Make a host that chooses the same speed factor for every attempt."""
+    return lambda machines: lambda last_speed_factor, in_step: np.full(machines, speed_factor)
 
 
-def make_searching_host(first: float) -> Callable[[int], BoldnessHost]:
-    """Make a host that remembers the boldest success and the tamest failure of each machine.
+def make_searching_host(first: float) -> Callable[[int], SpeedFactorHost]:
+    """Make a host that remembers the fastest success and the slowest failure of each machine.
 
     Args:
         first: Boldness of the first attempt.
@@ -49,22 +49,22 @@ def make_searching_host(first: float) -> Callable[[int], BoldnessHost]:
         Function that makes the host for a number of machines.
     """
 
-    def make_host(machines: int) -> BoldnessHost:
-        boldest_success, tamest_failure = np.full(machines, np.nan), np.full(machines, np.inf)
+    def make_host(machines: int) -> SpeedFactorHost:
+        fastest_success, slowest_failure = np.full(machines, np.nan), np.full(machines, np.inf)
 
-        def choose(last_boldness: np.ndarray, in_step: np.ndarray) -> np.ndarray:
-            if np.isnan(last_boldness).all():
+        def choose(last_speed_factor: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+            if np.isnan(last_speed_factor).all():
                 return np.full(machines, first)
-            boldest_success[in_step] = np.fmax(boldest_success, last_boldness)[in_step]
-            tamest_failure[~in_step] = np.fmin(tamest_failure, last_boldness)[~in_step]
-            boldest_success[boldest_success >= tamest_failure] = np.nan  # the success was luck
-            half = np.sqrt(boldest_success * tamest_failure)
+            fastest_success[in_step] = np.fmax(fastest_success, last_speed_factor)[in_step]
+            slowest_failure[~in_step] = np.fmin(slowest_failure, last_speed_factor)[~in_step]
+            fastest_success[fastest_success >= slowest_failure] = np.nan  # the success was luck
+            half = np.sqrt(fastest_success * slowest_failure)
             known = np.where(
-                np.isinf(tamest_failure),
-                boldest_success * STEP,
-                np.where(half > boldest_success * CLOSE, half, boldest_success),
+                np.isinf(slowest_failure),
+                fastest_success * STEP,
+                np.where(half > fastest_success * CLOSE, half, fastest_success),
             )
-            return np.where(np.isnan(boldest_success), tamest_failure / RETREAT, known)
+            return np.where(np.isnan(fastest_success), slowest_failure / RETREAT, known)
 
         return choose
 
@@ -72,7 +72,7 @@ def make_searching_host(first: float) -> Callable[[int], BoldnessHost]:
 
 
 def play_host(
-    host: Callable[[int], BoldnessHost], split: str, machines: int, seed: int
+    host: Callable[[int], SpeedFactorHost], split: str, machines: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Play an episode on each machine.
 
@@ -96,7 +96,7 @@ def play_host(
         choose, total, before = host(LANES), np.zeros(LANES), np.full(LANES, np.nan)
         for _ in range(attempts):
             before = choose(before, observation[:, names.index("kept")] > 0)
-            observation, rewards, *_, info = envs.step(np.stack([compute_bold_action(b) for b in before]))
+            observation, rewards, *_, info = envs.step(np.stack([compute_scaled_action(b) for b in before]))
             total += rewards
         totals.append(total)
         costs.append(info["proved"] / info["usual"])
@@ -111,9 +111,9 @@ def main() -> None:
     )
     parser.add_argument("--machines", type=int, default=32, metavar="N", help="how many")
     args = parser.parse_args()
-    scores = [play_host(make_fixed_host(b), "train", args.machines, TRAIN)[0].mean() for b in BOLDNESS]
-    best = BOLDNESS[int(np.argmax(scores))]
-    print(f"on the split train, boldness {best:g} is the best of {', '.join(f'{b:g}' for b in BOLDNESS)}")
+    scores = [play_host(make_fixed_host(b), "train", args.machines, TRAIN)[0].mean() for b in SPEED_FACTORS]
+    best = SPEED_FACTORS[int(np.argmax(scores))]
+    print(f"on the split train, speed factor {best:g} is the best of {', '.join(f'{b:g}' for b in SPEED_FACTORS)}")
     print("| split | host | sum of rewards | proved | cost, usual times |\n|---|---|---|---|---|")
     for split in args.splits:
         for name, host in {

@@ -1,12 +1,12 @@
-"""Upper limit of the worth of memory on FewShotTuning: every machine is tried at every boldness, and hosts play on that table.
+"""Upper limit of the worth of memory on FewShotTuning: every machine is tried at every speed factor, and hosts play on that table.
 
 python -m registerbench.baselines.memory_worth_bound
 python -m registerbench.baselines.memory_worth_bound --tasks few-shot-wide --machines 128
 
-The hosts play on a table of outcomes_by_boldness.py, with machines of the split train:
-knows     knows the best boldness of each machine: no host can be better
+The hosts play on a table of outcomes_by_speed_factor.py, with machines of the split train:
+knows     knows the best speed factor of each machine: no host can be better
 blind     uses the same eight numbers for all machines, the best that a search from STARTS sequences finds; it observes nothing
-looks     uses the rule with memory of parametric_policies.py, whose numbers CMA-ES has found
+looks     uses the policy with memory of parametric_policies.py, whose numbers CMA-ES has found
 The printed figure is the mean sum of rewards of each. The numbers are chosen on the same machines, so each figure is
 optimistic. Needs the package cmaes (extra `rl`).
 """
@@ -19,18 +19,18 @@ from dataclasses import replace
 import numpy as np
 
 from registerbench.baselines import explain_interrupt
-from registerbench.baselines.outcomes_by_boldness import (
-    BOLDNESS,
-    OutcomesByBoldness,
-    learn_rule,
-    measure_outcomes_by_boldness,
+from registerbench.baselines.outcomes_by_speed_factor import (
+    SPEED_FACTORS,
+    OutcomesBySpeedFactor,
+    learn_policy_numbers,
+    measure_outcomes_by_speed_factor,
 )
-from registerbench.baselines.parametric_policies import ATTEMPTS, RememberingRule
+from registerbench.baselines.parametric_policies import ATTEMPTS, RememberingPolicy
 
 FIRST_SEED, STARTS = 2000, 6
 
 
-def search_blindly(table: OutcomesByBoldness) -> float:
+def search_blindly(table: OutcomesBySpeedFactor) -> float:
     """Search for the best fixed sequence of attempts by coordinate search from STARTS random sequences.
 
     Returns:
@@ -43,9 +43,11 @@ def search_blindly(table: OutcomesByBoldness) -> float:
 
     rng, best = np.random.default_rng(0), -np.inf
     for _ in range(STARTS):
-        attempts, value, better = rng.integers(0, len(BOLDNESS), ATTEMPTS).tolist(), -np.inf, True
+        attempts, value, better = rng.integers(0, len(SPEED_FACTORS), ATTEMPTS).tolist(), -np.inf, True
         while better:
-            others = [[*attempts[:j], b, *attempts[j + 1 :]] for j in range(ATTEMPTS) for b in range(len(BOLDNESS))]
+            others = [
+                [*attempts[:j], b, *attempts[j + 1 :]] for j in range(ATTEMPTS) for b in range(len(SPEED_FACTORS))
+            ]
             attempts = max(others, key=compute_mean_reward)
             value, better = compute_mean_reward(attempts), compute_mean_reward(attempts) > value
         best = max(best, value)
@@ -61,11 +63,11 @@ def main() -> None:
     args = parser.parse_args()
     print("| machines of | answer | knows | blind | looks |\n|---|---|---|---|---|")
     for task in args.tasks:
-        measured = measure_outcomes_by_boldness(task, FIRST_SEED, args.machines)
+        measured = measure_outcomes_by_speed_factor(task, FIRST_SEED, args.machines)
         for last in (False, True):
-            table = replace(measured, last=last)
-            remembering = table.play_rule(
-                RememberingRule, RememberingRule.scale_numbers(learn_rule(RememberingRule, table, 0))
+            table = replace(measured, last_attempt_counts=last)
+            remembering = table.play_policy(
+                RememberingPolicy, RememberingPolicy.scale_numbers(learn_policy_numbers(RememberingPolicy, table, 0))
             ).mean()
             print(
                 f"| {task} | {'the last try' if last else 'the best try'} | {table.worth.max(axis=0).mean():.3f} "

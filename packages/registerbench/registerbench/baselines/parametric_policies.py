@@ -1,9 +1,10 @@
 """Small policies for the tasks of the benchmark, with a few numbers that a learner chooses (parametric_policy_learners.py).
 
-rule = RULES["few-shot-wide", "es with memory"](w, names, n)   w: numbers of the rule; names: features; n: number of machines
-actions = rule(observations)                                   (n, ...) each; one call for each step of an episode
+    policy = PARAMETRIC_POLICIES["few-shot-wide", "es with memory"](numbers, feature_names, machines)
+    actions = policy(observations)      arrays of shape (machines, ...); one call for each step of an episode
 
-All rules observe only what a host can observe. They begin in the middle of the allowed range, or at twice the usual speeds, and
+A speed factor multiplies the usual rates of a move and divides its usual ramp times: 2 is a move at twice the usual rates.
+All policies observe only what a host can observe. They begin in the middle of the allowed range, or at twice the usual speeds, and
 never use the answer of a formula.
 """
 
@@ -14,22 +15,22 @@ from typing import ClassVar
 
 import numpy as np
 
-from registerbench.shipped_policies import compute_bold_action
+from registerbench.shipped_policies import compute_scaled_action
 
 ATTEMPTS = 8
-TAMEST, BOLDEST = 0.5, 12.0
+MIN_SPEED_FACTOR, MAX_SPEED_FACTOR = 0.5, 12.0
 
 
-class Rule:
+class ParametricPolicy:
     """Policy with a few numbers that a learner chooses.
 
     Args:
-        numbers: Numbers of the rule.
+        numbers: Numbers of the policy.
         names: Names of the features of an observation.
-        machines: Number of machines that the rule plays at once.
+        machines: Number of machines that the policy plays at once.
 
     Attributes:
-        INITIAL_NUMBERS: Numbers before the rule has learned.
+        INITIAL_NUMBERS: Numbers before the policy has learned.
         DEVIATIONS: Standard deviation of each number in the first generation.
         attempts_made: Number of steps of the episode so far.
     """
@@ -42,7 +43,7 @@ class Rule:
 
     @classmethod
     def scale_numbers(cls, cma_numbers: np.ndarray) -> np.ndarray:
-        """Convert the numbers of CMA-ES to those of the rule.
+        """Convert the numbers of CMA-ES to those of the policy.
 
         Args:
             cma_numbers: Numbers with a standard deviation of 1 in the first generation; 0 stands for INITIAL_NUMBERS.
@@ -63,12 +64,11 @@ class Rule:
         raise NotImplementedError
 
 
-class LinearRule(Rule):
-    """Rule in which some actions are linear functions of features; the other actions are 0."""
+class LinearPolicy(ParametricPolicy):
+    """Parametric policy in which some actions are linear functions of features; the other actions are 0."""
 
-    FEATURES: ClassVar[int]
     ACTIONS: ClassVar[tuple[int, int]]
-    """Number of actions that the rule computes, and number of all actions."""
+    """Number of actions that the policy computes, and number of all actions."""
 
     def compute_features(self, observation: np.ndarray) -> list[np.ndarray]:
         """Compute the features of which the actions are linear functions, (machines,) each."""
@@ -83,8 +83,8 @@ class LinearRule(Rule):
         return out
 
 
-class OneShotRule(LinearRule):
-    """Rule of one-shot: both rates and both ramps follow from the distance and the declared payload."""
+class OneShotLinearPolicy(LinearPolicy):
+    """Parametric policy of one-shot: both rates and both ramps follow from the distance and the declared payload."""
 
     ACTIONS = 4, 4
     INITIAL_NUMBERS, DEVIATIONS = (0.0,) * 12, (0.5,) * 4 + (0.25,) * 8
@@ -93,8 +93,8 @@ class OneShotRule(LinearRule):
         return [self.get_feature("distance", observation), self.get_feature("declared", observation)]
 
 
-class LineRule(LinearRule):
-    """Rule of line: rate and ramp follow from the longest distance and from the ratio of the shortest to it."""
+class LineLinearPolicy(LinearPolicy):
+    """Parametric policy of line: rate and ramp follow from the longest distance and from the ratio of the shortest to it."""
 
     ACTIONS = 2, 14
     INITIAL_NUMBERS, DEVIATIONS = (0.0,) * 6, (0.5,) * 2 + (0.25,) * 4
@@ -105,8 +105,8 @@ class LineRule(LinearRule):
         return [np.log(max_distance) + 1.0, np.log(distances.min(axis=1) / max_distance) + 1.0]
 
 
-class HomeRule(Rule):
-    """Rule of home: rates, ramps and backing off are constant.
+class HomePolicy(ParametricPolicy):
+    """Parametric policy of home: rates, ramps and backing off are constant.
 
     The distance by which ORG is left depends on whether ORG is on. The approach and the report of a fault depend on the
     number of failed returns in a row, and on how the last one failed.
@@ -126,32 +126,32 @@ class HomeRule(Rule):
         )  # fmt: skip
 
 
-def compute_bold_actions(boldness: np.ndarray) -> np.ndarray:
-    """Compute actions with the usual rates times a boldness and the usual ramps divided by it.
+def compute_scaled_actions(speed_factor: np.ndarray) -> np.ndarray:
+    """Compute actions with the usual rates times a speed factor and the usual ramp times divided by it.
 
     Args:
-        boldness: Boldness of each machine, (n,).
+        speed_factor: Speed factor of each machine, (n,).
 
     Returns:
         Actions, (n, 4).
     """
-    return np.stack([compute_bold_action(b) for b in boldness.tolist()])
+    return np.stack([compute_scaled_action(b) for b in speed_factor.tolist()])
 
 
-class BoldnessRule(Rule):
-    """Rule of few-shot that chooses one boldness for each attempt."""
+class SpeedFactorPolicy(ParametricPolicy):
+    """Parametric policy of few-shot that chooses one speed factor for each attempt."""
 
     def choose_actions(self, observation: np.ndarray) -> np.ndarray:
-        return compute_bold_actions(
+        return compute_scaled_actions(
             np.exp(
-                self.choose_log_boldness(
+                self.choose_log_speed_factor(
                     self.get_feature("distance", observation), self.get_feature("kept", observation) > 0
                 )
             )
         )
 
-    def choose_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
-        """Choose the logarithm of the next boldness within the permitted range.
+    def choose_log_speed_factor(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        """Choose the logarithm of the next speed factor within the permitted range.
 
         Args:
             distance: Distance of each machine, (n,).
@@ -160,78 +160,88 @@ class BoldnessRule(Rule):
         Returns:
             Logarithms, (n,).
         """
-        return np.clip(self.compute_log_boldness(distance, in_step), np.log(TAMEST), np.log(BOLDEST))
+        return np.clip(
+            self.compute_log_speed_factor(distance, in_step), np.log(MIN_SPEED_FACTOR), np.log(MAX_SPEED_FACTOR)
+        )
 
-    def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
-        """Compute the logarithm of the next boldness, (n,), before it is limited to the permitted range."""
+    def compute_log_speed_factor(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        """Compute the logarithm of the next speed factor, before it is limited to the permitted range.
+
+        Args:
+            distance: Distance of each machine's move, as the observation has it, (n,).
+            in_step: Whether the encoder showed no lost step in the last attempt, (n,).
+
+        Returns:
+            Logarithms, (n,).
+        """
         raise NotImplementedError
 
 
-class ScheduledRule(BoldnessRule):
-    """Rule w0 + w1 * distance + w2 * share of attempts made, which does not depend on the outcomes of the attempts.
+class ScheduledPolicy(SpeedFactorPolicy):
+    """Parametric policy w0 + w1 * distance + w2 * share of attempts made, which does not depend on the outcomes of the attempts.
 
-    The boldness can rise or fall during an episode, so that the last attempt has the boldness that the rule aims at.
+    The speed factor can rise or fall during an episode, so that the last attempt has the speed factor that the policy aims at.
     """
 
     INITIAL_NUMBERS, DEVIATIONS = (0.7, 0.0, 0.0), (0.4, 0.2, 0.4)
 
-    def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+    def compute_log_speed_factor(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         w = self.w
         return w[0] + w[1] * distance + w[2] * self.attempts_made / ATTEMPTS
 
 
-class RememberingRule(BoldnessRule):
-    """Rule that remembers earlier attempts, and tries between the boldest that kept step and the tamest that did not."""
+class RememberingPolicy(SpeedFactorPolicy):
+    """Policy that remembers earlier attempts, and tries between the fastest that kept step and the slowest that did not."""
 
     INITIAL_NUMBERS, DEVIATIONS = (0.7, 0.0, 0.2, 0.5, 0.1), (0.4, 0.2, 0.1, 0.2, 0.1)
 
     def __init__(self, numbers: Sequence[float] | np.ndarray, names: Sequence[str], machines: int = 1):
         super().__init__(numbers, names, machines)
-        self.boldest_success, self.tamest_failure, self.last = (
+        self.fastest_success, self.slowest_failure, self.last = (
             np.full(machines, -np.inf),
             np.full(machines, np.inf),
             np.zeros(machines),
         )  # logarithms
 
-    def choose_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
-        self.last = super().choose_log_boldness(distance, in_step)
+    def choose_log_speed_factor(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        self.last = super().choose_log_speed_factor(distance, in_step)
         return self.last
 
     def update_bounds(self, in_step: np.ndarray) -> None:
-        """Update the boldest success and the tamest failure of each machine after an attempt.
+        """Update the fastest success and the slowest failure of each machine after an attempt.
 
         Args:
             in_step: Whether the last attempt kept step by the encoder, (n,).
         """
-        self.boldest_success = np.where(in_step, np.maximum(self.boldest_success, self.last), self.boldest_success)
-        self.tamest_failure = np.where(in_step, self.tamest_failure, np.minimum(self.tamest_failure, self.last))
-        self.boldest_success = np.where(self.boldest_success >= self.tamest_failure, -np.inf, self.boldest_success)
+        self.fastest_success = np.where(in_step, np.maximum(self.fastest_success, self.last), self.fastest_success)
+        self.slowest_failure = np.where(in_step, self.slowest_failure, np.minimum(self.slowest_failure, self.last))
+        self.fastest_success = np.where(self.fastest_success >= self.slowest_failure, -np.inf, self.fastest_success)
 
-    def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+    def compute_log_speed_factor(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         (first, slope), (up, share, back) = self.w[:2], np.abs(self.w[2:])
         down = 2 * up
         if not self.attempts_made:
             return first + slope * distance
         self.update_bounds(in_step)
-        has_success, has_failure = np.isfinite(self.boldest_success), np.isfinite(self.tamest_failure)
+        has_success, has_failure = np.isfinite(self.fastest_success), np.isfinite(self.slowest_failure)
         with np.errstate(invalid="ignore"):
-            between = self.boldest_success + min(share, 1.0) * (self.tamest_failure - self.boldest_success)
+            between = self.fastest_success + min(share, 1.0) * (self.slowest_failure - self.fastest_success)
         if self.attempts_made == ATTEMPTS - 1:
-            return np.where(has_success, self.boldest_success - back, self.tamest_failure - down)
+            return np.where(has_success, self.fastest_success - back, self.slowest_failure - down)
         return np.where(
             has_success & has_failure,
             between,
-            np.where(has_success, self.boldest_success + up, self.tamest_failure - down),
+            np.where(has_success, self.fastest_success + up, self.slowest_failure - down),
         )
 
 
-RULES: dict[tuple[str, str], type[Rule]] = {
-    ("one-shot", "es"): OneShotRule,
-    ("few-shot", "es without memory"): ScheduledRule,
-    ("few-shot", "es with memory"): RememberingRule,
-    ("few-shot-wide", "es without memory"): ScheduledRule,
-    ("few-shot-wide", "es with memory"): RememberingRule,
-    ("home", "es"): HomeRule,
-    ("line", "es"): LineRule,
+PARAMETRIC_POLICIES: dict[tuple[str, str], type[ParametricPolicy]] = {
+    ("one-shot", "es"): OneShotLinearPolicy,
+    ("few-shot", "es without memory"): ScheduledPolicy,
+    ("few-shot", "es with memory"): RememberingPolicy,
+    ("few-shot-wide", "es without memory"): ScheduledPolicy,
+    ("few-shot-wide", "es with memory"): RememberingPolicy,
+    ("home", "es"): HomePolicy,
+    ("line", "es"): LineLinearPolicy,
 }
-"""Classes of rules by (name of the card, name of the player)."""
+"""Classes of policies by (name of the card, name of the player)."""

@@ -1,4 +1,4 @@
-"""Learners from scratch on the tasks with continuous actions: CMA-ES chooses the numbers of a small rule (parametric_policies.py).
+"""Learners from scratch on the tasks with continuous actions: CMA-ES chooses the numbers of parametric policies.
 
 python -m registerbench.baselines.parametric_policy_learners learn one-shot -o runs
 python -m registerbench.baselines.parametric_policy_learners learn few-shot-wide --seeds 0 1 2 3 4 5 6 7 8 9 -o runs
@@ -9,9 +9,10 @@ run has other machines. The policy is the mean of CMA-ES's distribution after th
 episodes. Training has cheaper settings than the tests (training_envs.py). The mean plays test episodes before the first generation
 and after a quarter, half and all of the generations. They form the learning curve: a CSV file with a row for each episode.
 
-The rules of few-shot and few-shot-wide learn on a table (outcomes_by_boldness.py): a run tries TABLE_MACHINES machines of train
-at every boldness, and CMA-ES chooses the numbers of both rules, with and without memory, on this table. A point of the curve is
-the rule that was learned from the first TABLE_PARTS machines. A finished run is skipped. Needs the package cmaes (extra `rl`).
+The policies of few-shot and few-shot-wide learn on a table (outcomes_by_speed_factor.py): a run tries TABLE_MACHINES machines of
+train at every speed factor, and CMA-ES chooses the numbers of both policies, with and without memory, on this table. A point of
+the curve is the policy that was learned from the first TABLE_PARTS machines. A finished run is skipped. Needs the package cmaes
+(extra `rl`).
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ import numpy as np
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.outcomes_by_boldness import learn_rule, measure_outcomes_by_boldness
-from registerbench.baselines.parametric_policies import RULES, BoldnessRule, Rule
+from registerbench.baselines.outcomes_by_speed_factor import learn_policy_numbers, measure_outcomes_by_speed_factor
+from registerbench.baselines.parametric_policies import PARAMETRIC_POLICIES, ParametricPolicy, SpeedFactorPolicy
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 
@@ -37,17 +38,19 @@ BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
 POPULATION = 8
 TABLE_MACHINES, TABLE_PARTS = 48, (12, 48)
 EPISODES = 32  # test episodes of a point of the learning curve
-UNTRAINED_RESULTS: dict[tuple[str, type[Rule]], tuple[np.ndarray, np.ndarray]] = {}
+UNTRAINED_RESULTS: dict[tuple[str, type[ParametricPolicy]], tuple[np.ndarray, np.ndarray]] = {}
 COLUMNS = ("steps", "processor_s", "episode", "return", "success")
 
 
-def play_rule(envs: Any, rule_class: type[Rule], numbers: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
+def play_policy(
+    envs: Any, policy_class: type[ParametricPolicy], numbers: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Play one episode on each machine. The machines have the seeds `seed`, `seed + 1`, and so on.
 
     Args:
         envs: Vector environment.
-        rule_class: Class of the rule.
-        numbers: Numbers of the rule.
+        policy_class: Class of the policy.
+        numbers: Numbers of the policy.
         seed: Seed of the first machine.
 
     Returns:
@@ -55,10 +58,10 @@ def play_rule(envs: Any, rule_class: type[Rule], numbers: np.ndarray, seed: int)
     """
     n = envs.num_envs
     observation, _ = envs.reset(seed=seed)
-    rule, steps = rule_class(numbers, [e.name for e in envs.observation_features], n), 0
+    policy, steps = policy_class(numbers, [e.name for e in envs.observation_features], n), 0
     total, won, over = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
     while not over.all():
-        observation, rewards, terminated, truncated, infos = envs.step(rule(observation))
+        observation, rewards, terminated, truncated, infos = envs.step(policy(observation))
         total += np.where(over, 0.0, rewards)
         steps += int((~over).sum())
         ends = (terminated | truncated) & ~over
@@ -67,17 +70,17 @@ def play_rule(envs: Any, rule_class: type[Rule], numbers: np.ndarray, seed: int)
     return total, won, steps
 
 
-class RuleLearner:
-    """Training run of a rule, with its learning curve.
+class ParametricPolicyLearner:
+    """Training run of a policy, with its learning curve.
 
     Args:
         task: Name of a card.
-        player: Name of the player, see RULES.
+        player: Name of the player, see PARAMETRIC_POLICIES.
         seed: Seed of the run.
     """
 
     def __init__(self, task: str, player: str, seed: int):
-        self.rule_class, self.task, self.seed = RULES[task, player], task, seed
+        self.policy_class, self.task, self.seed = PARAMETRIC_POLICIES[task, player], task, seed
         self.generations, self.machines = BUDGET.get(task, (0, 1))
         self.learning = make_training_envs(task, self.machines, **CHEAPER_SETTINGS.get(task, {}))
         self.testing = make_training_envs(task, EPISODES)
@@ -88,11 +91,11 @@ class RuleLearner:
         """Play the test episodes with some numbers, add them to the learning curve, and return the mean of their returns.
 
         Args:
-            cma_numbers: Numbers of CMA-ES, which `Rule.scale_numbers` converts.
+            cma_numbers: Numbers of CMA-ES, which `ParametricPolicy.scale_numbers` converts.
         """
         if cma_numbers.any():
-            numbers = self.rule_class.scale_numbers(cma_numbers)
-            total, won, _ = play_rule(self.testing, self.rule_class, numbers, FIRST_TEST_SEED)
+            numbers = self.policy_class.scale_numbers(cma_numbers)
+            total, won, _ = play_policy(self.testing, self.policy_class, numbers, FIRST_TEST_SEED)
         else:
             total, won = self.play_untrained()
         for k, (value, success) in enumerate(zip(total.tolist(), won.tolist(), strict=True)):
@@ -100,13 +103,13 @@ class RuleLearner:
         return float(total.mean())
 
     def play_untrained(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the results of the rule before it has learned, which are the same for all seeds."""
-        if (self.task, self.rule_class) not in UNTRAINED_RESULTS:
-            begins = np.array(self.rule_class.INITIAL_NUMBERS)
-            UNTRAINED_RESULTS[self.task, self.rule_class] = play_rule(
-                self.testing, self.rule_class, begins, FIRST_TEST_SEED
+        """Return the results of the policy before it has learned, which are the same for all seeds."""
+        if (self.task, self.policy_class) not in UNTRAINED_RESULTS:
+            begins = np.array(self.policy_class.INITIAL_NUMBERS)
+            UNTRAINED_RESULTS[self.task, self.policy_class] = play_policy(
+                self.testing, self.policy_class, begins, FIRST_TEST_SEED
             )[:2]
-        return UNTRAINED_RESULTS[self.task, self.rule_class]
+        return UNTRAINED_RESULTS[self.task, self.policy_class]
 
     def run_generation(self, search: Any, number: int) -> None:
         """Play the candidates of a generation, and update CMA-ES.
@@ -118,17 +121,19 @@ class RuleLearner:
         start_s, machines = time.process_time(), 1000 * (self.seed + 1) + self.machines * number
         candidates, worth = [search.ask() for _ in range(POPULATION)], []
         for z in candidates:
-            total, _, steps = play_rule(self.learning, self.rule_class, self.rule_class.scale_numbers(z), machines)
+            total, _, steps = play_policy(
+                self.learning, self.policy_class, self.policy_class.scale_numbers(z), machines
+            )
             worth.append(float(total.mean()))
             self.moves += steps
         search.tell([(z, -value) for z, value in zip(candidates, worth, strict=True)])
         self.seconds += time.process_time() - start_s
 
     def learn_numbers(self, generations: int) -> np.ndarray:
-        """Search the numbers of the rule by CMA-ES in the environments, and return the mean of CMA-ES."""
+        """Search the numbers of the policy by CMA-ES in the environments, and return the mean of CMA-ES."""
         from cmaes import CMA
 
-        size = len(self.rule_class.INITIAL_NUMBERS)
+        size = len(self.policy_class.INITIAL_NUMBERS)
         search = CMA(mean=np.zeros(size), sigma=1.0, seed=self.seed, population_size=POPULATION)
         self.add_curve_point(search.mean)
         for k in range(generations):
@@ -138,11 +143,11 @@ class RuleLearner:
         return search.mean
 
     def learn_numbers_on_table(self, table: Any) -> np.ndarray:
-        """Search the numbers of the rule on measured outcomes of ever more machines, and return the last ones."""
-        self.add_curve_point(z := np.zeros(len(self.rule_class.INITIAL_NUMBERS)))
+        """Search the numbers of the policy on measured outcomes of ever more machines, and return the last ones."""
+        self.add_curve_point(z := np.zeros(len(self.policy_class.INITIAL_NUMBERS)))
         for machines in (m for m in TABLE_PARTS if m <= len(table.distance)):
             start_s, part = time.process_time(), table.select_first_machines(machines)
-            z = learn_rule(self.rule_class, part, self.seed)
+            z = learn_policy_numbers(self.policy_class, part, self.seed)
             self.seconds += time.process_time() - start_s
             self.moves = part.moves
             self.add_curve_point(z)
@@ -152,11 +157,11 @@ class RuleLearner:
         """Write the policy (JSON) and its learning curve (CSV), and print the points of the curve.
 
         Args:
-            cma_numbers: Numbers of CMA-ES, which `Rule.scale_numbers` converts.
+            cma_numbers: Numbers of CMA-ES, which `ParametricPolicy.scale_numbers` converts.
             path: File without its suffix.
         """
         cost = {"moves": self.moves, "processor_s": round(self.seconds, 1)}
-        w = self.rule_class.scale_numbers(cma_numbers).round(4).tolist()
+        w = self.policy_class.scale_numbers(cma_numbers).round(4).tolist()
         with path.with_suffix(".csv").open("w", newline="") as file:
             csv.writer(file).writerows(self.rows)
         path.with_suffix(".json").write_text(json.dumps({"w": w, "cost": cost}))
@@ -169,26 +174,28 @@ class RuleLearner:
 
 
 def learn(task: str, run: int, folder: Path, generations: int | None = None, machines: int = TABLE_MACHINES) -> None:
-    """Learn each rule of a task with CMA-ES, and write its numbers and its learning curve, unless they exist.
+    """Learn each policy of a task with CMA-ES, and write its numbers and its learning curve, unless they exist.
 
     Args:
         task: Name of a card.
         run: Number of the run, its seed.
         folder: Folder of the files.
         generations: Number of generations; None: that of BUDGET.
-        machines: Number of machines of the table, for a rule that learns on one.
+        machines: Number of machines of the table, for a policy that learns on one.
     """
-    players = {player: folder / f"{task}_{player.replace(' ', '-')}-{run}" for t, player in RULES if t == task}
+    players = {
+        player: folder / f"{task}_{player.replace(' ', '-')}-{run}" for t, player in PARAMETRIC_POLICIES if t == task
+    }
     folder.mkdir(parents=True, exist_ok=True)
     table, spent = None, 0.0
     for player, path in players.items():
         if path.with_suffix(".json").exists():
             continue
-        learner = RuleLearner(task, player, run)
-        if issubclass(learner.kind, BoldnessRule):
+        learner = ParametricPolicyLearner(task, player, run)
+        if issubclass(learner.policy_class, SpeedFactorPolicy):
             if table is None:
                 start_s = time.process_time()
-                table = measure_outcomes_by_boldness(task, 1000 * (run + 1), machines)
+                table = measure_outcomes_by_speed_factor(task, 1000 * (run + 1), machines)
                 spent = time.process_time() - start_s
                 print(f"{task} {run}: tried {machines} machines, {spent:.1f} s", flush=True)
             learner.seconds = spent
@@ -198,22 +205,22 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
         learner.close()
 
 
-class RulePolicy:
-    """Policy of a rule that was learned, for `registerbench.play`.
+class ParametricPolicyPlayer:
+    """A parametric policy with learned numbers, for `registerbench.play`.
 
     Args:
-        rule_class: Class of the rule.
-        numbers: Numbers of the rule.
+        policy_class: Class of the policy.
+        numbers: Numbers of the policy.
     """
 
-    def __init__(self, rule_class: type[Rule], numbers: list[float]):
-        self.kind, self.w = rule_class, numbers
+    def __init__(self, policy_class: type[ParametricPolicy], numbers: list[float]):
+        self.policy_class, self.numbers = policy_class, numbers
 
-    def reset(self, context: Any) -> None:
-        self.rule = self.kind(self.w, context.feature_names)
+    def reset(self, policy_context: Any) -> None:
+        self.policy = self.policy_class(self.numbers, policy_context.feature_names)
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
-        return self.rule(observation[None])[0]
+        return self.policy(observation[None])[0]
 
 
 def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN_ROUND) -> None:
@@ -231,14 +238,22 @@ def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN_ROUND
     settings = {"memory": "last"} if "memory" in CARDS[task].choices else {}
     arguments = {"settings": settings, "name": player, "cost": stored["cost"], "round_": round_}
     for split in splits:
-        write_entry(RulePolicy(RULES[task, player], stored["w"]), task, split, folder, method, int(run), **arguments)
+        write_entry(
+            ParametricPolicyPlayer(PARAMETRIC_POLICIES[task, player], stored["w"]),
+            task,
+            split,
+            folder,
+            method,
+            int(run),
+            **arguments,
+        )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     p = commands.add_parser("learn")
-    p.add_argument("task", choices=list(dict.fromkeys(task for task, _ in RULES)))
+    p.add_argument("task", choices=list(dict.fromkeys(task for task, _ in PARAMETRIC_POLICIES)))
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4], metavar="N", help="a run of each")
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
     p.set_defaults(run=lambda a: [learn(a.task, run, a.out) for run in a.seeds])
