@@ -24,10 +24,12 @@ def check_outputs_during_move(trial: PromiseTrial) -> None:
     """Check that busy, net, counter and pins agree with the trace during the whole of a move by the host driver."""
     for rng in trial.seeded_generators():
         for chip, axis, pulses in trial.start_moves(rng):
-            _check_move_signals_of(trial, rng, chip, axis, pulses)
+            _check_outputs_of_axis_during_move(trial, rng, chip, axis, pulses)
 
 
-def _check_move_signals_of(trial: PromiseTrial, rng: np.random.Generator, chip: Chip, axis: int, pulses: int) -> None:
+def _check_outputs_of_axis_during_move(
+    trial: PromiseTrial, rng: np.random.Generator, chip: Chip, axis: int, pulses: int
+) -> None:
     """Check one move that has just started."""
     left, direction = abs(pulses), 1 if pulses > 0 else -1
     _require_busy(chip, axis, left)

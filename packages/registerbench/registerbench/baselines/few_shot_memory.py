@@ -43,7 +43,7 @@ def make_searching_host(first: float) -> Callable[[int], SpeedFactorHost]:
     """Make a host that remembers the fastest success and the slowest failure of each machine.
 
     Args:
-        first: Boldness of the first attempt.
+        first: Speed factor of the first attempt.
 
     Returns:
         Function that makes the host for a number of machines.
