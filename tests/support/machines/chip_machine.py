@@ -259,6 +259,11 @@ def differences(chip, other) -> dict:
     }
 
 
+def list_state_fields(chip) -> list[str]:
+    """List the names of the fields of a chip's state, as `differences` names them."""
+    return [name for name, _ in _fields(np.frombuffer(chip.snapshot().record, chip.CORE.STATE)[0])]
+
+
 def _fields(record, prefix=""):
     """The fields of a record, and of the records in it, by name."""
     for name in record.dtype.names:

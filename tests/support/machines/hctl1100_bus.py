@@ -28,7 +28,7 @@ class HctlHost:
     QUIET: ClassVar = tuple(k for k in range(64) if k != 0x14)  # reading the low byte of the position latches
     PULSE_PINS: ClassVar = ("pulse", "sign")
     MAKES_PULSES: ClassVar = False
-    FOR_A_STAGE: ClassVar = ("moment",)
+    FOR_A_STAGE: ClassVar = ("drive_integral",)
 
     flags: int = 0
     drove: bool = False

@@ -39,7 +39,9 @@ class NovaHost:
     BLINKING: ClassVar = ("lmt_plus", "lmt_minus") * 4 + ("stop0", "stop1", "eca", "ecb")
     PULSE_PINS: ClassVar = ("pls", "dir")
     MAKES_PULSES: ClassVar = True
-    FOR_A_STAGE: ClassVar = tuple(f"ax{k}.{name}" for k in range(4) for name in ("moment", "shift", "since"))
+    FOR_A_STAGE: ClassVar = tuple(
+        f"ax{k}.{name}" for k in range(4) for name in ("pulse_clock_sum", "recent_net", "first_pulse_clock")
+    )
 
     axes: tuple[Axis, ...]
     mcx514: bool
