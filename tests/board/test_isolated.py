@@ -25,6 +25,7 @@ from stage.board.isolation import process_starter
 from stage.chips import HCTL1100
 from stage.cli import main
 from stage.errors import StageError
+from stage.native import COMPILED
 
 RUNNERS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
 STOP_INTERRUPT = (
@@ -360,3 +361,11 @@ def test_a_stage_that_nobody_has_changed_is_not_sent_to_the_process_again(monkey
         for _ in range(5):
             host.run_for(1e-4)
     assert sent == []
+
+
+@pytest.mark.skipif(not COMPILED or not Path("/proc/self/maps").exists(), reason="run as Python, or no Linux")
+def test_the_native_library_is_loaded_once_for_all_processes_of_firmware():
+    child = NativeHost(firmware("PULSESTAGE_MAIN { return 0; }"), Board(Stage("xy", visuals=False)))
+    child.run()
+    starter = process_starter._starters[os.getpid(), ""]
+    assert "/_native.so" in Path(f"/proc/{starter._process.pid}/maps").read_text()

@@ -35,6 +35,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from stage.board.thread_runner import read_status
+from stage.native import COMPILED
 
 _HEAD = struct.Struct("q")
 _STATUS = struct.Struct("i")
@@ -376,7 +377,10 @@ def _become_child(context: ProcessContext, files: list[int], run: Callable[[int]
 def main(fileno: int) -> None:
     """Run the starter with this end of a socket."""
     from stage.board.isolation import firmware_process
+    from stage.sim import engine
 
+    if COMPILED:
+        _ = engine.set_switch_levels.address  # loads and checks the native library once for all children
     gc.freeze()
     with socket.socket(fileno=fileno) as control:
         _fork_on_request(control, firmware_process.main)
