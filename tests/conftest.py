@@ -86,6 +86,15 @@ def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture
+def work_folder(tmp_path, monkeypatch):
+    """Change to a temporary folder, without a display."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    return tmp_path
+
+
 @pytest.fixture(scope="module")
 def fresh():
     from stage import Stage
@@ -99,6 +108,16 @@ def xy(fresh):
     """Two axes at rest."""
     fresh.reset()
     return fresh
+
+
+@pytest.fixture
+def xyz(fresh):
+    """The module's stage at rest; its switches stick no longer than the test."""
+    fresh.reset()
+    yield fresh
+    for axis in fresh.axes.values():
+        for name in axis.switches.as_dict():
+            axis.switches.stick(name, None)
 
 
 @pytest.hookimpl(wrapper=True)

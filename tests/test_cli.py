@@ -16,14 +16,6 @@ from stage import Stage
 from stage.cli import GROUPS, build_parser, demo, main
 
 
-@pytest.fixture
-def work_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    return tmp_path
-
-
 def run_command(capsys, *argv, code=0):
     assert main(list(argv)) == code
     return capsys.readouterr()

@@ -13,14 +13,6 @@ from stage.cli import erratum, erratum_picture, main
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "erratum.md"
 
 
-@pytest.fixture
-def work_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    return tmp_path
-
-
 MOVES = {}
 
 

@@ -28,15 +28,6 @@ def fresh():
     return Stage("xyz_servo", chips=HCTL1100, visuals=False)
 
 
-@pytest.fixture
-def xyz(fresh):
-    fresh.reset()
-    yield fresh
-    for axis in fresh.axes.values():
-        for name in axis.switches.as_dict():
-            axis.switches.stick(name, None)
-
-
 def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 

@@ -21,15 +21,6 @@ def fresh():
     return Stage("xyz", chips=PCL240K)
 
 
-@pytest.fixture
-def xyz(fresh):
-    fresh.reset()
-    yield fresh
-    for axis in fresh.axes.values():
-        for name in axis.switches.as_dict():
-            axis.switches.stick(name, None)
-
-
 def start_all_axes(stage, pulses=3000):
     for k, axis in enumerate(stage.axes.values()):
         start_preset(axis.chip, pulses + 100 * k, minus=bool(k % 2))

@@ -1,8 +1,7 @@
 """A servo axis on a limit switch, which its chip has one pin for: not further in by any procedure, and out by each."""
 
-import time
-
 import pytest
+from support.waiting import wait_until
 
 from stage import RunTimeout, Stage, faults, firmware
 from stage.chips import HCTL1100
@@ -58,14 +57,6 @@ def place_on(axis, end, inside=INSIDE):
     axis.stage.place(**{axis.name: find_switch_edge(axis, pin) + direction * inside})
     assert getattr(axis.switches, pin)
     return direction, axis.position
-
-
-def wait_until(condition, seconds=20.0):
-    """Wait for what a session's thread does."""
-    begin = time.monotonic()
-    while not condition():
-        assert time.monotonic() - begin < seconds
-        time.sleep(1e-3)
 
 
 def start_and_wait(axis, direction):

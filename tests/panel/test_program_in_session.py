@@ -5,18 +5,12 @@ import time
 
 import numpy as np
 import pytest
+from support.waiting import wait_until
 
 from stage import Stage, firmware
 from stage.errors import StageError
 from stage.panel.session import FREE, ActionStopped, Session
 from stage.panel.stage_observer import BusTrace
-
-
-def until(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def program(stage):
@@ -69,15 +63,15 @@ def test_no_time_passes_but_by_the_program_and_it_is_in_real_time(session):
     session.stage.run(0.2)  # from this very thread
     assert time.monotonic() - begin > 0.17  # it catches up with what it was late, and goes ahead by a slice
     assert session.stage.time == 0.2
-    until(lambda: session.view.time == 0.2)
+    wait_until(lambda: session.view.time == 0.2)
 
 
 def test_a_suspended_program_waits_and_then_continues(session):
     stage = session.stage
     session.take_over()
-    until(lambda: session.view.time > 0.05)  # the session lets time pass
+    wait_until(lambda: session.view.time > 0.05)  # the session lets time pass
     driver = Driver(lambda: program(stage))
-    until(lambda: session.program_waits)
+    wait_until(lambda: session.program_waits)
     at = session.do(lambda stage: stage.axes["x"].commanded)
     move = session.act("move", lambda stage: firmware.move(stage.axes["y"], distance=0.001)).result(20)
     assert move.ok
@@ -101,7 +95,7 @@ def test_a_program_may_call_its_session_while_the_session_drives(session):
     driver = Driver(
         lambda: stage.run_until(lambda: requested.append(session.do(lambda s: s.time)) or len(requested) > 2, 1.0)
     )
-    until(lambda: session.program_waits)
+    wait_until(lambda: session.program_waits)
     session.give_back()
     driver.result()
     assert len(requested) == 3
@@ -120,9 +114,9 @@ def test_a_paused_session_lets_no_time_pass(session):
 @pytest.mark.parametrize("end", ["close", "dismiss"])
 def test_a_program_that_waits_is_let_go_at_the_end(session, end):
     session.take_over()
-    until(lambda: session.view.time > 0)
+    wait_until(lambda: session.view.time > 0)
     driver = Driver(lambda: session.stage.axes["x"].chip.read(0) if end == "close" else session.catch_up())
-    until(lambda: session.program_waits)
+    wait_until(lambda: session.program_waits)
     getattr(session, {"close": "close", "dismiss": "dismiss_program"}[end])()
     driver.result()
 
@@ -132,7 +126,7 @@ def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, st
     session.speed = 1.0
     if state == "taken over":
         session.take_over()
-        until(lambda: session.view.time > 0)
+        wait_until(lambda: session.view.time > 0)
     session.paused = state == "paused"
     end_times = []
 
@@ -154,7 +148,7 @@ def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, st
 def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):
     session.stage.run(0.001)
     session.dismiss_program()
-    until(lambda: session.view.time > 0.05)
+    wait_until(lambda: session.view.time > 0.05)
     with pytest.raises(StageError, match="lives in a session"):
         session.stage.run(0.01)
 

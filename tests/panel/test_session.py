@@ -6,6 +6,7 @@ from concurrent.futures import TimeoutError as Late
 
 import numpy as np
 import pytest
+from support.waiting import wait_until
 
 from stage import Stage, firmware
 from stage.errors import ArgumentError, StageError
@@ -24,13 +25,6 @@ def session(request):
         yield session
 
 
-def until(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
-
-
 def run_unpaced(session, seconds, times=1):
     """Let simulated time pass as fast as it goes, and remember each of the ends."""
     for _ in range(times):
@@ -39,7 +33,7 @@ def run_unpaced(session, seconds, times=1):
 
 
 def test_time_passes_without_a_program_except_while_paused(session):
-    until(lambda: session.view.time > 0.1)
+    wait_until(lambda: session.view.time > 0.1)
     session.paused = True
     before = session.do(lambda stage: stage.now)
     time.sleep(0.05)
@@ -66,7 +60,7 @@ def test_a_procedure_in_a_session_is_the_procedure_alone():
         future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.002))
         assert not future.done()
         session.paused = False
-        until(lambda: session.do(lambda stage: future.done()) or session.view.action == "move")
+        wait_until(lambda: session.do(lambda stage: future.done()) or session.view.action == "move")
         report = future.result(20)
         session.paused = True
     assert str(report) == str(expected)
@@ -75,7 +69,7 @@ def test_a_procedure_in_a_session_is_the_procedure_alone():
 def test_orders_are_carried_out_while_a_procedure_runs(session):
     session.speed = 1.0
     future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.05))
-    until(lambda: session.view.action == "move")
+    wait_until(lambda: session.view.action == "move")
     assert session.do(lambda stage: stage.axes["x"].chip.busy(0))
     assert not future.done()
     assert session.stop_actions()
@@ -85,7 +79,7 @@ def test_orders_are_carried_out_while_a_procedure_runs(session):
 
 
 def test_the_same_future_follows_after_going_back(session):
-    until(lambda: session.view.time > 0.3)
+    wait_until(lambda: session.view.time > 0.3)
     session.paused = True
     was = session.do(lambda stage: stage.now)
     assert session.history_s >= 0.2
@@ -105,27 +99,27 @@ def test_the_same_future_follows_after_going_back(session):
 
 def test_time_resumes_at_once_after_power_up(session):
     """And an action begins, whatever the time was before."""
-    until(lambda: session.view.time > 20)
+    wait_until(lambda: session.view.time > 20)
     session.speed = 1.0
     session.reset()
-    until(lambda: session.view.time > 0.05, 5)
+    wait_until(lambda: session.view.time > 0.05, 5)
     assert session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.0005)).result(5).ok
 
 
 def test_restoring_a_snapshot_sets_its_time(session):
-    until(lambda: session.view.time > 0.3)
+    wait_until(lambda: session.view.time > 0.3)
     session.paused = True
     then = session.go_back(0.1)
     assert session.go_back(0.0) == then
 
 
 def test_after_a_reset_history_reaches_back_to_power_up(session):
-    until(lambda: session.view.time > 0.5)
+    wait_until(lambda: session.view.time > 0.5)
     session.paused = True
     session.reset()
     session.do(lambda stage: stage.place(x=0.05))
     session.paused = False
-    until(lambda: session.view.time > 0.3)
+    wait_until(lambda: session.view.time > 0.3)
     session.paused = True
     session.go_back(0.1)
     assert session.view.time > 0.1
@@ -158,7 +152,7 @@ def test_an_order_at_the_end_of_the_session_gets_an_error():
             session.close()
 
     session.do(lambda stage: session.call_after_slices(ends))
-    until(lambda: delayed)  # the observers are called after the order has its result
+    wait_until(lambda: delayed)  # the observers are called after the order has its result
     with pytest.raises(StageError, match="this session is over"):
         delayed[0].result(10)
 
@@ -168,7 +162,7 @@ def test_an_error_of_an_order_comes_to_who_gave_it(session):
         session.do(lambda stage: stage.place(q=1))
     with pytest.raises(ZeroDivisionError):
         session.act("wrong", lambda stage: 1 / 0).result(5)
-    until(lambda: session.view.time > 0)
+    wait_until(lambda: session.view.time > 0)
 
 
 @pytest.mark.parametrize("speed", [0, -1, 1e9, float("nan")])
@@ -192,37 +186,37 @@ def test_nobody_else_runs_the_stage_and_afterwards_it_is_his_again():
 
 
 def test_a_divergence_pauses_the_session_which_can_recover(session):
-    until(lambda: session.view.time > 0.3)
+    wait_until(lambda: session.view.time > 0.3)
     session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 1e30))
-    until(lambda: session.view.trouble)
+    wait_until(lambda: session.view.trouble)
     assert "diverged" in session.view.trouble
     session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 0.0))
     session.go_back(0.1)
-    until(lambda: not session.view.trouble)
+    wait_until(lambda: not session.view.trouble)
     at = session.view.time
-    until(lambda: session.view.time > at)
+    wait_until(lambda: session.view.time > at)
 
 
 def test_from_a_divergence_one_recovers_where_all_was_well(session):
-    until(lambda: session.view.time > 1.0)
+    wait_until(lambda: session.view.time > 1.0)
     session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 1e30))
-    until(lambda: session.view.trouble)
+    wait_until(lambda: session.view.trouble)
     diverged = session.view.time
     then = session.recover()
     assert diverged - 0.7 < then < diverged - 0.4
     assert session.paused
     assert not session.do(lambda stage: stage.data.qfrc_applied[0]), "the force came later than that"
     session.paused = False
-    until(lambda: session.view.time > diverged + 0.2)
+    wait_until(lambda: session.view.time > diverged + 0.2)
     assert not session.view.trouble
 
 
 def test_a_carriage_that_leaves_its_travel_stops_time_and_the_action(session):
-    until(lambda: session.view.time > 1.0)
+    wait_until(lambda: session.view.time > 1.0)
     jog = session.act("wait", lambda stage: stage.run(1e6))
-    until(lambda: session.view.action)
+    wait_until(lambda: session.view.action)
     session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
-    until(lambda: session.view.trouble)
+    wait_until(lambda: session.view.trouble)
     assert session.view.trouble.startswith(
         "x is out of its travel, at -3000 mm: its end stops are at -158 mm and 158 mm."
     )
@@ -233,7 +227,7 @@ def test_a_carriage_that_leaves_its_travel_stops_time_and_the_action(session):
     assert session.view.time < at - 0.3
     assert not session.view.trouble
     session.paused = False
-    until(lambda: session.view.time > at + 0.1)
+    wait_until(lambda: session.view.time > at + 0.1)
     assert not session.view.trouble
 
 
@@ -250,7 +244,7 @@ def test_a_paused_session_answers_orders_at_once(session):
     begin = time.monotonic()
     for _ in range(4):
         move = session.act("wait", lambda stage: stage.run(1.0))
-        until(lambda: session.view.action == "wait")
+        wait_until(lambda: session.view.action == "wait")
         assert session.stop_actions()
         with pytest.raises(ActionStopped):
             move.result(5)
@@ -260,7 +254,7 @@ def test_a_paused_session_answers_orders_at_once(session):
         at = session.do(lambda stage: stage.time)
         time.sleep(0.02)
         session.paused = False
-        until(lambda a=at: session.view.time > a)
+        wait_until(lambda a=at: session.view.time > a)
         session.paused = True
     assert time.monotonic() - begin < 1.2
 
@@ -310,7 +304,7 @@ def test_the_requested_number_of_steps_passes(session):
         assert session.paused
         assert session.do(lambda stage: stage.now) == (at // dt + n) * dt
         session.paused = False
-        until(lambda a=at: session.view.time * 1e9 > a + 10 * dt)
+        wait_until(lambda a=at: session.view.time * 1e9 > a + 10 * dt)
 
 
 @PAUSED
@@ -349,12 +343,12 @@ def test_restoring_a_time_ends_the_action(session, how):
     saved = session.do(lambda stage: stage.snapshot())
     session.paused = False
     move = session.act("wait", lambda stage: stage.run(1e6))
-    until(lambda: session.view.action == "wait" and session.view.time > 0)
+    wait_until(lambda: session.view.action == "wait" and session.view.time > 0)
     {"back": lambda: session.go_back(0.0), "reset": session.reset, "restore": lambda: session.restore(saved),
      "recover": session.recover}[how]()  # fmt: skip
     with pytest.raises(ActionStopped):
         move.result(5)
-    until(lambda: not session.busy)
+    wait_until(lambda: not session.busy)
 
 
 def test_a_session_without_a_program_suspends_nothing():
@@ -368,7 +362,7 @@ def test_a_session_without_a_program_suspends_nothing():
         assert session.program_suspended
         session.paused = False
         move = session.act("wait", lambda stage: stage.run(1e6))
-        until(lambda: session.view.action == "wait")
+        wait_until(lambda: session.view.action == "wait")
         session.give_back()
         assert not session.program_suspended
         with pytest.raises(ActionStopped):
@@ -395,7 +389,7 @@ def assert_time_goes_on(session):
     at = session.do(lambda stage: stage.time)
     begin = time.monotonic()
     session.paused = False
-    until(lambda: session.view.time > at + 0.03, 1.5)
+    wait_until(lambda: session.view.time > at + 0.03, 1.5)
     passed = session.view.time - at
     assert passed <= time.monotonic() - begin + 0.05
     session.paused = True
@@ -423,18 +417,18 @@ def test_time_continues_at_once_from_a_restored_snapshot(session):
     later = session.do(lambda stage: stage.snapshot())
     session.restore(first)
     session.paused = False
-    until(lambda: session.view.time > 0.02)
+    wait_until(lambda: session.view.time > 0.02)
     for then, at in ((later, 4.0), (first, 0.0)):
         session.restore(then)  # time passes, and goes on doing so
         begin = time.monotonic()
-        until(lambda now=at: now + 0.03 < session.view.time < now + 2, 1.5)
+        wait_until(lambda now=at: now + 0.03 < session.view.time < now + 2, 1.5)
         assert session.view.time - at <= time.monotonic() - begin + 0.2
 
 
 @PAUSED_IN_REAL_TIME
 def test_the_view_includes_a_finished_order(session):
     """Threads that wait for `changed` are notified when the view has the effect of the order."""
-    until(lambda: session.do(lambda stage: True))
+    wait_until(lambda: session.do(lambda stage: True))
     number, reported = session.view.number, threading.Event()
 
     def wait():
@@ -454,7 +448,7 @@ def test_the_view_includes_a_finished_order(session):
 @PAUSED_IN_REAL_TIME
 def test_an_action_pauses_and_ends_when_it_is_stopped(session):
     move = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.05))
-    until(lambda: session.view.action == "move")
+    wait_until(lambda: session.view.action == "move")
     session.do(lambda stage: None)
     at = session.do(lambda stage: stage.now)
     assert at < 1_000_000, "bus cycles take their time"
@@ -463,7 +457,7 @@ def test_an_action_pauses_and_ends_when_it_is_stopped(session):
     assert session.stop_actions()
     with pytest.raises(ActionStopped):
         move.result(5)
-    until(lambda: session.view.action == "")
+    wait_until(lambda: session.view.action == "")
     assert not session.stop_actions(), "none is under way"
 
 
@@ -475,7 +469,7 @@ def test_trouble_remains_until_time_is_resumed_or_restored(session):
     for end in ("unpause", "reset"):
         session.do(diverge)
         session.paused = False
-        until(lambda: "diverged" in session.view.trouble)
+        wait_until(lambda: "diverged" in session.view.trouble)
         at = session.do(lambda stage: stage.now)
         time.sleep(0.03)
         assert session.do(lambda stage: stage.now) == at, "time stands still"
@@ -487,7 +481,7 @@ def test_trouble_remains_until_time_is_resumed_or_restored(session):
         else:
             session.reset()
             session.paused = False
-        until(lambda: not session.view.trouble and session.view.time > 0)
+        wait_until(lambda: not session.view.trouble and session.view.time > 0)
         session.reset()
 
 
@@ -513,19 +507,19 @@ def test_trouble_that_a_program_has_ended_is_forgotten():
     stage = Stage("xy", visuals=False)
     with Session(stage, speed=FREE, program="a test") as session:
         session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
-        until(lambda: session.view.trouble.startswith("x is out of its travel"))
+        wait_until(lambda: session.view.trouble.startswith("x is out of its travel"))
         session.do(lambda stage: stage.place(x=0.0))
-        until(lambda: not session.view.trouble)
+        wait_until(lambda: not session.view.trouble)
 
 
 def test_a_programs_last_change_is_observed_and_in_the_history():
     stage = Stage("xy", visuals=False)
     with Session(stage, speed=FREE, program="a test") as session:
         stage.run(0.2)
-        until(lambda: session.view.time == pytest.approx(0.2))
+        wait_until(lambda: session.view.time == pytest.approx(0.2))
         assert session.history_s >= 0
         stage.run(0.2)
-        until(lambda: session.view.time == pytest.approx(0.4))
+        wait_until(lambda: session.view.time == pytest.approx(0.4))
         then = session.go_back(0.1)
         assert then <= 0.3
         assert session.do(lambda stage: stage.time) == then
@@ -540,7 +534,7 @@ def test_a_new_speed_holds_from_its_setting_on(session):
     time.sleep(0.03)
     assert session.view.time < 0.01
     session.speed = FREE
-    until(lambda: session.view.time > 1.0)
+    wait_until(lambda: session.view.time > 1.0)
     session.speed = 1.0
     at, begin = session.view.time, time.monotonic()
     time.sleep(0.05)

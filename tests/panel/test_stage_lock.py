@@ -4,6 +4,7 @@ import threading
 import time
 
 import pytest
+from support.waiting import wait_until
 
 from stage.errors import StageError
 from stage.panel.stage_lock import StageLock
@@ -32,18 +33,11 @@ class LockingThread(threading.Thread):
             self.error = error
 
 
-def until(condition, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.001)
-
-
 def test_one_thread_has_it_at_a_time_and_may_enter_again(lock):
     with lock, lock:
         assert lock.is_acquired()
         other = LockingThread(lock)
-        until(lambda: lock.has_waiting)
+        wait_until(lambda: lock.has_waiting)
         with lock:
             pass
         assert not other.entered.wait(0.02)
@@ -57,7 +51,7 @@ def test_who_came_first_is_first_also_after_one_who_has_just_left(lock):
     with lock:
         for k in range(4):
             visitors.append(LockingThread(lock, lambda k=k: order.append(k)))
-            until(lambda n=k: len(lock._waiting) == n + 1)
+            wait_until(lambda n=k: len(lock._waiting) == n + 1)
     with lock:  # at once again: those that wait were here before
         order.append("again")
     for visitor in visitors:
@@ -81,7 +75,7 @@ def test_yielding_admits_exactly_the_waiting_threads(lock):
     order = []
     with lock:
         first = LockingThread(lock, lambda: order.append("first"))
-        until(lambda: lock.has_waiting)
+        wait_until(lambda: lock.has_waiting)
         lock.yield_to_waiting()
         order.append("owner")
         lock.yield_to_waiting()
@@ -114,7 +108,7 @@ def test_a_timed_out_thread_does_not_block_the_others(lock):
 def test_reserved_it_is_for_one_thread_and_the_others_wait_until_it_is_not(lock):
     lock.reserve(threading.get_ident())
     other = LockingThread(lock)
-    until(lambda: lock.has_waiting)
+    wait_until(lambda: lock.has_waiting)
     for _ in range(3):
         with lock:  # past those that wait
             lock.yield_to_waiting()
@@ -128,7 +122,7 @@ def test_a_reservation_with_a_refusal_refuses_all_other_threads_at_once(lock, co
     with lock:
         other = LockingThread(lock) if comes == "before" else None
         if other:
-            until(lambda: lock.has_waiting)
+            wait_until(lambda: lock.has_waiting)
         lock.reserve(threading.get_ident(), "not yours.")
         other = other or LockingThread(lock)
         other.join(5)

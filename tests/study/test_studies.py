@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from support.examples import SEED
+from support.waiting import wait_until
 
 pytest.importorskip("optuna", reason="Optuna is not installed: pip install -e '.[tune]'")
 
@@ -71,13 +72,6 @@ def is_alive(pid):
         return False
 
 
-def wait_for(condition, seconds=60):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, f"waited {seconds} s"
-        time.sleep(0.01)
-
-
 @pytest.mark.slow
 def test_a_killed_study_loses_only_its_running_trials_and_continues(tmp_path):
     """python scripts/sweep.py --out study.log --trials 60 --workers 2 --objective mine:slow, its processes killed one by one"""
@@ -103,16 +97,16 @@ def test_a_killed_study_loses_only_its_running_trials_and_continues(tmp_path):
         return subprocess.Popen([*command, "--workers", str(workers)], cwd=tmp_path, **pipes)
 
     driver = start(2)
-    wait_for(lambda: log.exists() and len({pid for _, _, pid in parse_log_lines(log)}) == 2)
+    wait_until(lambda: log.exists() and len({pid for _, _, pid in parse_log_lines(log)}) == 2)
     time.sleep(rng.random() * 0.1)
     first, second = {pid for _, _, pid in parse_log_lines(log)}
     os.kill(first, signal.SIGKILL)
-    wait_for(lambda: not is_alive(first))
+    wait_until(lambda: not is_alive(first))
     after = len(parse_log_lines(log))
-    wait_for(lambda: len(parse_log_lines(log)) > after + 6)  # the other one continues
+    wait_until(lambda: len(parse_log_lines(log)) > after + 6)  # the other one continues
     driver.kill()
     driver.communicate()
-    wait_for(lambda: not is_alive(second))  # and ends with its parent
+    wait_until(lambda: not is_alive(second))  # and ends with its parent
     recorded = {t.number: (t.params, t.value) for t in read_study(journal).trials if t.state.name == "COMPLETE"}
     finished_numbers = {number for word, number, _ in parse_log_lines(log) if word == "ended"}
     assert len(finished_numbers - set(recorded)) <= 1  # the killed worker had finished one without recording it
