@@ -10,8 +10,7 @@
         return 0
 
 A command prints text, and adds facts by `add_facts`. With --json, the text is dropped and the facts are printed as one JSON object
-at
-the end, also if the exit code is 1. Errors go to standard error, as JSON with --json.
+at the end, also if the exit code is 1. Errors go to standard error, as JSON with --json.
 """
 
 from __future__ import annotations
@@ -95,7 +94,7 @@ def add_facts(args: argparse.Namespace, facts: Any = None, /, **more: Any) -> No
 
 
 def report_written_file(args: argparse.Namespace, path: Any, text: str) -> None:
-    """Print that a command has written a file, and add the file to the facts.
+    """Print that a command has written a file, and add the file to the facts that --json prints.
 
     Args:
         args: Options of the command.
@@ -107,7 +106,7 @@ def report_written_file(args: argparse.Namespace, path: Any, text: str) -> None:
 
 
 def warn(args: argparse.Namespace, text: str) -> None:
-    """Print a warning to standard error; with --json, add it to the facts."""
+    """Print a warning to standard error; with --json, add it to the printed JSON object."""
     if getattr(args, "json", False):
         args.warnings = [*getattr(args, "warnings", ()), text]
     else:

@@ -17,7 +17,7 @@ PLOT_INTERVAL_S = 1e-3
 def add_subcommand(commands: Any) -> None:
     """Add `stage replay` to argparse's subparsers."""
     p = add_command(
-        commands, "replay", replay, "play a logic analyser's capture into STEP/DIR axes",
+        commands, "replay", replay_capture_file, "play a logic analyser's capture into STEP/DIR axes",
         "Play the STEP and DIR edges of a real controller, captured by a logic analyser (VCD of sigrok, PulseView or GTKWave), "
         "into STEP/DIR axes, each at its nanosecond. Print for each axis the steps, the positions, lost steps, the largest "
         "following error, switches, and times that were too short for the power stage. Exit code 0 if every edge was "
@@ -38,8 +38,8 @@ def add_subcommand(commands: Any) -> None:
     p.set_defaults(chips="stepdir")
 
 
-def replay(args: argparse.Namespace) -> int:
-    """Replay a capture; exit code 0 if it has steps, every edge was accepted and no step was lost."""
+def replay_capture_file(args: argparse.Namespace) -> int:
+    """Feed a logic analyzer's capture file to a stage; return 0 if it has steps, all edges were accepted and no step was lost."""
     from stage.board.capture_replay import replay_capture
 
     stage = make_stage(args)

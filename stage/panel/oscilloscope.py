@@ -1,4 +1,6 @@
-"""`Oscilloscope`: show traces of a `Sampler` in a time window with a trigger, and export the window to files. No page.
+"""`Oscilloscope`: show traces of a `Sampler` in a time window with a trigger, and export the window to files.
+
+This module draws no page.
 
     scope = Oscilloscope(sampler, ["x/rate", "x/org"], span=0.5)
     scope.set_trigger("normal", "x/org", rising=True)

@@ -1,4 +1,6 @@
-"""Forms of the procedures: the fields of each form, in units of the axis, and the call of stage.firmware that it makes. No page.
+"""Forms of the procedures: the fields of each form, in units of the axis, and the call of stage.firmware that it makes.
+
+This module draws no page.
 
     form = FORMS["move"]
     fields = form.list_fields(stage, "x")

@@ -1,4 +1,6 @@
-"""Texts from a chip's register map: the content of its front panel, and the meaning of lines of the bus console. No page.
+"""Texts from a chip's register map: the content of its front panel, and the meaning of lines of the bus console.
+
+This module draws no page.
 
 format_value(register, 8000), describe_value(register, 8000)
 parse_number("1F40h", 13)                 8000

@@ -1,4 +1,6 @@
-"""Save what a user has done on a panel to a file, and continue from it: `stage panel --open FILE`, bit for bit. No page.
+"""Save what a user has done on a panel to a file, and continue from it: `stage panel --open FILE`, bit for bit.
+
+This module draws no page.
 
 The file is a zip:
 

@@ -1,4 +1,6 @@
-"""`Session`: a stage that runs in real time and takes orders meanwhile. The panel's page uses it, and programs may. No page.
+"""`Session`: a stage that runs in real time and takes orders meanwhile. The panel's page uses it, and programs may.
+
+This module draws no page.
 
     with Session(Stage("xy")) as session:
         session.do(lambda stage: stage.axes["x"].chip.write(0, 0x11))      an order, between two slices of time; returns its result

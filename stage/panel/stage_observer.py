@@ -1,4 +1,6 @@
-"""Data that pages show of a stage: `StageObserver`, its axes and registers; `BusTrace`, the bus cycles of a chip in words. No page.
+"""Data that pages show of a stage: `StageObserver`, its axes and registers; `BusTrace`, the bus cycles of a chip in words.
+
+This module draws no page.
 
 observer = StageObserver(session)             observes FRAMES times a second at most, once for all browsers
 observer.axes["x"].position

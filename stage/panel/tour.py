@@ -1,4 +1,6 @@
-"""Tour in six steps for users who have never seen such a chip: each step waits until the user has done it. No page.
+"""Tour in six steps for users who have never seen such a chip: each step waits until the user has done it.
+
+This module draws no page.
 
 The tour observes the stage after each slice of a session. It recognizes a step only by pulses, switches and the rotor, whatever
 the chips are and whoever writes to them.

@@ -106,7 +106,7 @@ def test_a_recording_continues_from_call_to_call(recording):
     assert recording.recordings.describe_last_recording()["axis"] == "x", "a move since then is the last"
 
 
-def test_the_end_of_a_session_ends_the_recording_that_it_has_begun_and_no_other(make_box):
+def test_the_end_of_a_session_ends_the_recording_that_it_has_started_and_no_other(make_box):
     box = make_box(mode="truth")
     stage = box.stage
     assert box.call("record", {"on": True}).ok

@@ -59,7 +59,7 @@ class Player(Protocol):
     @property
     def cost(self) -> dict[str, float]: ...
 
-    def begin(self, context: PolicyContext) -> None: ...
+    def begin(self, policy_context: PolicyContext) -> None: ...
     def act(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any: ...
     def end(self) -> None: ...
 
@@ -131,10 +131,10 @@ class UserPolicy:
     def __init__(self, policy: Policy, name: str, shipped: bool = False):
         self.policy, self.name, self.shipped = policy, name, shipped
 
-    def begin(self, context: PolicyContext) -> None:
+    def begin(self, policy_context: PolicyContext) -> None:
         reset = getattr(self.policy, "reset", None)
         if reset is not None:
-            reset(context if self.shipped else PolicyContext(**{**vars(context), "env": None}))
+            reset(policy_context if self.shipped else PolicyContext(**{**vars(policy_context), "env": None}))
 
     @property
     def cost(self) -> dict[str, float]:
@@ -157,7 +157,7 @@ class RecordedActions:
         self.episodes = _read_episodes(path)
         self.episode, self.step = -1, 0
 
-    def begin(self, context: PolicyContext) -> None:
+    def begin(self, policy_context: PolicyContext) -> None:
         self.episode, self.step = self.episode + 1, 0
         if self.episode >= len(self.episodes):
             raise ArgumentError(

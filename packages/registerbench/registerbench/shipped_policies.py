@@ -20,9 +20,9 @@ class RandomPolicy:
         self.seed = seed
         self.space: Any = None
 
-    def reset(self, context: PolicyContext) -> None:
+    def reset(self, policy_context: PolicyContext) -> None:
         if self.space is None:
-            self.space = context.action_space
+            self.space = policy_context.action_space
             self.space.seed(self.seed)
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
@@ -33,8 +33,8 @@ class RandomPolicy:
 class ScriptedPolicy:
     """Policy of the task's own scripted host, which does not learn."""
 
-    def reset(self, context: PolicyContext) -> None:
-        self.env = context.env
+    def reset(self, policy_context: PolicyContext) -> None:
+        self.env = policy_context.env
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         return self.env.scripted_action()
@@ -59,8 +59,8 @@ class SpeedFactorSearch:
 
     STEP_FACTOR, BISECTION_SHARE, MIN_GAIN_FACTOR, RETREAT_FACTOR, FIRST_SPEED_FACTOR = 1.12, 0.5, 1.1, 1.4, 3.4 / 1.12
 
-    def reset(self, context: PolicyContext) -> None:
-        self.kept_indices = [k for k, name in enumerate(context.feature_names) if name == "kept"]
+    def reset(self, policy_context: PolicyContext) -> None:
+        self.kept_indices = [k for k, name in enumerate(policy_context.feature_names) if name == "kept"]
         self.fastest_success: float | None = None
         self.slowest_failure, self.latest, self.attempts = np.inf, self.FIRST_SPEED_FACTOR, 0
 

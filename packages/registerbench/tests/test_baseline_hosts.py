@@ -38,7 +38,7 @@ def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_d
 def test_a_proof_of_a_move_is_over_many_angles():
     with move_tuning.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=move_tuning.PROOF_SEED) as moves:
         for _ in range(2):
-            moves.make_moves_of_actions(np.zeros((2, moves.size)))
+            moves.measure_rewards_of_actions(np.zeros((2, moves.size)))
         assert len({angle for _, _, angle in moves.log.drawn}) == 4
 
 

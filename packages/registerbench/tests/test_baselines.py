@@ -201,7 +201,7 @@ def test_test_moves_alternate_in_direction_and_otherwise_follow_the_environment(
         with MoveTuning(0.5, both_directions=both_directions, **created) as moves:
             action = moves.registers.to_action(compute_registers(axis, 2000, s_curve=False))
             while moves.moves_left:
-                moves.make_moves_of_actions(np.tile(action, (4, 1)))
+                moves.measure_rewards_of_actions(np.tile(action, (4, 1)))
             assert (np.abs(moves.observation) <= 1).all()
         logs.append(moves.log)
     present, both = logs

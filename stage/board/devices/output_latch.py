@@ -44,7 +44,7 @@ class Latch(CompiledDevice):
         return self.value
 
     def name_port(self, n: int) -> str:
-        """Return the name of the only port."""
+        """Return the name of port `n`. A latch has one port, so `n` is 0."""
         return "outputs"
 
     def make_describer(self) -> Listener:

@@ -236,7 +236,7 @@ def describe_verdict(runs: list[MethodRun], payload: str, against: Method) -> st
 
 
 def format_gain_table(runs: list[MethodRun], payloads: dict[str, float]) -> list[str]:
-    """Format the table of the gains on which the verdicts rest."""
+    """Format the table of the gain of each method over the two formulas, from which the page draws its verdicts."""
     lines = [
         "| payload | against | method | runs | by reward, ms | in time, ms | by reward where steps were kept, ms |",
         "|---|---|---|---|---|---|---|",

@@ -118,9 +118,9 @@ class MacroPolicy:
         stored = json.loads(path.with_suffix(".json").read_text())
         return cls(method, kind.load(path, device="cpu"), stored["temperature"])
 
-    def reset(self, context: Any) -> None:
+    def reset(self, policy_context: Any) -> None:
         """Prepare for an episode; `context.feature_names` names the features of its observations."""
-        self.axis_roles = AxisRoles(context.feature_names, self.model.action_space.n)
+        self.axis_roles = AxisRoles(policy_context.feature_names, self.model.action_space.n)
 
     def choose_macros(self, observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Choose a macro for each observation.

@@ -116,8 +116,8 @@ class FewShotPolicy:
         kind: Any = RecurrentPPO if method == "recurrent" else PPO
         self.model = kind.load(path, device="cpu")
 
-    def reset(self, context: Any) -> None:
-        self.which, self.state = find_visible_columns(self.method, context.feature_names), None
+    def reset(self, policy_context: Any) -> None:
+        self.which, self.state = find_visible_columns(self.method, policy_context.feature_names), None
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         begins = np.array([self.state is None])

@@ -37,10 +37,10 @@ class OptunaPolicy:
         """Make the sampler of a study."""
         raise NotImplementedError
 
-    def reset(self, context: Any) -> None:
+    def reset(self, policy_context: Any) -> None:
         """Begin a study for the next episode."""
         where: dict[str, list[int]] = {}
-        for k, name in enumerate(context.feature_names):
+        for k, name in enumerate(policy_context.feature_names):
             where.setdefault(name, []).append(k)
         self.kept_indices, self.duration = where["kept"], where["duration"]
         self.study = optuna.create_study(sampler=self.make_sampler(self.episode))

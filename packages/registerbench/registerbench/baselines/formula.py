@@ -25,7 +25,7 @@ def make_formula_move(moves: MoveTuning, seed: int = 0, safety: float = SAFETY_F
         seed: Not used: the formula has no chance.
         safety: Pull-out thrust divided by the thrust that the move uses.
     """
-    moves.make_moves_of_actions(
+    moves.measure_rewards_of_actions(
         moves.registers.to_action(compute_registers(moves.axis, moves.distance, safety, s_curve=False))[None]
     )
 

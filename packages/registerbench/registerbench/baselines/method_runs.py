@@ -255,7 +255,7 @@ def run_test(registers: list[int], payload: float, model: str) -> dict[str, Move
         with MoveTuning(payload + c.extra_kg, c.moves, "registers", **settings) as moves:
             action = moves.registers.to_action(np.array(registers))
             while moves.moves_left:
-                moves.make_moves_of_actions(np.tile(action, (moves.lanes, 1)))
+                moves.measure_rewards_of_actions(np.tile(action, (moves.lanes, 1)))
         logs[name] = moves.log
     return logs
 

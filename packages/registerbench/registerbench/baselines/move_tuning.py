@@ -46,9 +46,9 @@ SPACES = ("registers", "knobs")
 class BothDirectionsTuning(RegisterTuning):
     """RegisterTuning in which every second machine moves in the minus direction; used to test answers, not to find them."""
 
-    def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
+    def draw_distance(self, stage_index: int, options: Mapping[str, Any]) -> int:
         """Draw the distance of the next move; stages with an odd index move in the minus direction."""
-        return super().draw_distance(k, options) * (-1 if k % 2 else 1)
+        return super().draw_distance(stage_index, options) * (-1 if stage_index % 2 else 1)
 
 
 class BothDirectionsVectorEnv(StageVectorEnv):
@@ -171,7 +171,7 @@ class MoveTuning:
         """Number of moves left in the budget."""
         return self.budget - len(self.log)
 
-    def make_moves(self, choices: np.ndarray) -> np.ndarray:
+    def measure_rewards(self, choices: np.ndarray) -> np.ndarray:
         """Make a move for each of up to `lanes` choices.
 
         Args:
@@ -183,9 +183,9 @@ class MoveTuning:
         choices = np.clip(np.asarray(choices, float), -1, 1)
         if self.knobs:
             choices = np.stack([self.registers.to_action(self.knobs.compute_registers(row)) for row in choices])
-        return self.make_moves_of_actions(choices)
+        return self.measure_rewards_of_actions(choices)
 
-    def make_moves_of_actions(self, actions: np.ndarray) -> np.ndarray:
+    def measure_rewards_of_actions(self, actions: np.ndarray) -> np.ndarray:
         """Make a move for each action of the environment.
 
         Args:
@@ -264,7 +264,7 @@ def prove_rows(
             moves.restart()
             action = moves.registers.to_action(np.array(row))
             while moves.moves_left and all(moves.log.kept_step):
-                moves.make_moves_of_actions(np.tile(action, (moves.lanes, 1)))
+                moves.measure_rewards_of_actions(np.tile(action, (moves.lanes, 1)))
             proofs.append(moves.log)
             if sum(all(log.kept_step) for log in proofs) == needed:
                 break

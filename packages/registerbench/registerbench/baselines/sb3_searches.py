@@ -39,7 +39,7 @@ class MovesVecEnv(VecEnvAdapter):
         return self.moves.observation
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
-        rewards = SCALE * np.maximum(np.nan_to_num(self.moves.make_moves(self._actions)), WORST)
+        rewards = SCALE * np.maximum(np.nan_to_num(self.moves.measure_rewards(self._actions)), WORST)
         observation = self.moves.observation
         infos = [{"terminal_observation": row} for row in observation]
         return observation, rewards.astype(np.float32), np.ones(self.num_envs, bool), infos

@@ -24,7 +24,7 @@ def search_randomly(moves: MoveTuning, seed: int = 0) -> None:
     """
     rng = np.random.default_rng(seed)
     while moves.moves_left:
-        moves.make_moves(rng.uniform(-1, 1, (moves.lanes, moves.size)))
+        moves.measure_rewards(rng.uniform(-1, 1, (moves.lanes, moves.size)))
 
 
 def search_by_cma_es(moves: MoveTuning, seed: int = 0) -> None:
@@ -45,7 +45,7 @@ def search_by_cma_es(moves: MoveTuning, seed: int = 0) -> None:
     study.enqueue_trial(dict.fromkeys(names, 0.0))
     while moves.moves_left:
         trials = [study.ask(space) for _ in range(min(moves.lanes if moves.log.reward else 1, moves.moves_left))]
-        rewards = moves.make_moves(np.array([[t.params[n] for n in names] for t in trials]))
+        rewards = moves.measure_rewards(np.array([[t.params[n] for n in names] for t in trials]))
         for trial, reward in zip(trials, rewards, strict=True):
             study.tell(trial, float(reward))
 

@@ -48,9 +48,9 @@ class Score:
 
     @property
     def value(self) -> float:
-        """Total score: half for the cause and half for the repair.
+        """Total score, half for the cause and half for the repair: from -0.5 (wrong answer, nothing repaired) to 1 (both right).
 
-        It is at most 1, -0.5 for a wrong answer without a repair, and 0 for doing nothing.
+        An agent that does nothing scores 0.
         """
         return 0.5 * self.found + 0.5 * max(self.repaired - self.work, 0.0)
 
