@@ -18,9 +18,10 @@ from selenium import webdriver
 from stage import Stage, firmware
 from stage.panel.server import Panel
 from stage.panel.session import Session
+from stage.panel.tour_page import COOKIE
 
 OUT = Path(__file__).parents[1] / "docs" / "pictures"
-WIDE, PHONE, FILM = (1440, 1500), (420, 1300), (1440, 920)
+WIDE, PHONE, FILM = (1400, 900), (390, 844), (1400, 900)
 FRAMES, BETWEEN = 34, 0.06  # of the film; simulated seconds
 
 
@@ -33,6 +34,7 @@ def open_browser(address: str, size: tuple[int, int], dark: bool = False) -> Any
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
     metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    driver.execute_cdp_cmd("Network.setCookie", {"name": COOKIE, "value": "seen", "url": address})  # no tour
     driver.get(address)
     time.sleep(5)
     return driver
@@ -60,9 +62,11 @@ def draw_pictures(session: Session, panel: Panel) -> None:
         click_button(driver, "tab-two_rates")
         time.sleep(1)
         click_button(driver, "go-two_rates")
+        while "pulses" not in panel.reports.find_outcome("two_rates").text:
+            time.sleep(0.01)
+        session.paused = True  # with the move in the window of the oscilloscope
         while not driver.find_elements("css selector", ".pattern svg"):
             time.sleep(0.1)
-        session.paused = True
         driver.execute_script("window.scrollTo(0, 0)")
         time.sleep(3)
         save_small_picture(take_screenshot(driver), OUT / f"{name}.png")

@@ -2,15 +2,9 @@
 // processor draws: then the scene is coarse while something moves, and sharp again as soon as it rests.
 const PICTURE_MS = 50; // for a picture of a moving scene, at most: as long again is left to the rest of the page
 const LONGEST_REST_MS = 200; // between two pictures, also after one that took long
+const POLL_MS = 30; // between two looks at whether a picture is drawn
 const SETTLED_MS = 300; // without a change: the scene rests
 const COARSENESS = [1, 0.7, 0.5, 0.35]; // pixels of a picture for one of the screen, sharpest first
-
-function looks(scene, camera) {
-  const place = (o) => [...o.position.toArray(), ...o.quaternion.toArray()].map((v) => v.toFixed(6)); // the controls' last digits drift
-  const parts = [place(camera), camera.projectionMatrix.elements];
-  scene.traverse((o) => parts.push(o.id, o.visible, o.material?.color?.getHex(), place(o)));
-  return parts.join();
-}
 
 export default {
   template: '<span style="display: none"></span>',
@@ -35,18 +29,27 @@ export default {
       for (const [object, ...pose] of poses) this.poses.set(object, pose);
     },
     place(scene) {
-      for (const [object, [position, rotation]] of this.poses) {
-        if (!scene.objects.has(object)) continue; // it comes later: a new page makes its objects one by one
-        this.poses.delete(object);
-        scene.move(object, ...position);
-        scene.rotate(object, rotation);
+      for (const [id, [position, rotation]] of this.poses) {
+        const mesh = scene.objects.get(id)?.mesh;
+        if (!mesh) continue; // it comes later: a new page makes its objects one by one
+        this.poses.delete(id);
+        mesh.position.set(...position);
+        const [x, y, z] = rotation;
+        mesh.quaternion.setFromRotationMatrix(mesh.matrix.clone().set(...x, 0, ...y, 0, ...z, 0, 0, 0, 0, 1));
+        this.moves++;
       }
+    },
+    look(scene, camera) {
+      // all that a picture depends on; the last digits of the camera drift
+      const place = [...camera.position.toArray(), ...camera.quaternion.toArray()].map((v) => v.toFixed(6));
+      const ready = [...scene.objects.values()].filter((object) => !object.ready_promise).length;
+      return [place, camera.projectionMatrix.elements, ready, this.moves].join();
     },
     control(scene, renderer) {
       const [draw, resize] = [renderer.render.bind(renderer), renderer.setSize.bind(renderer)];
       const gl = renderer.getContext();
       let [drawn, fence, begun, free, changed, level, drawnLevel] = ["", null, 0, 0, 0, 0, 0];
-      this.frames = 0;
+      this.frames = this.moves = 0;
       renderer.render = (what, camera) => {
         const t = performance.now();
         this.place(scene);
@@ -55,11 +58,11 @@ export default {
           gl.deleteSync(fence);
           fence = null;
           const took = t - begun;
-          free = t + Math.min(took, LONGEST_REST_MS);
+          free = begun + Math.min(2 * took, took + LONGEST_REST_MS) - POLL_MS;
           if (drawnLevel === level && took > PICTURE_MS) level = Math.min(level + 1, COARSENESS.length - 1);
           else if (drawnLevel === level && took < 0.4 * PICTURE_MS) level = Math.max(level - 1, 0);
         }
-        const now = looks(what, camera);
+        const now = this.look(scene, camera);
         if (now !== drawn) changed = t;
         const rests = t - changed > SETTLED_MS;
         if (t < free || (now === drawn && !(rests && drawnLevel > 0))) return;

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from nicegui import ui
 
-from stage.panel.browser_updates import FRAMES, BrowserUpdates
+from stage.panel.browser_updates import BrowserUpdates
 from stage.recording.geom_archetypes import find_color, find_floor, find_triangles, is_visible
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 FACETS = 32  # of a full circle
 PLANE_THICKNESS_M = 0.002
+POLLS = 60  # a second, at most, of the browser's scene: whether there is something to draw, see poses.js
 _KIND = mujoco.mjtGeom
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from a cylinder of the browser's, which stands on y, to one of MuJoCo's, which stands on z."""
@@ -128,7 +129,7 @@ def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
     camera = ui.scene.perspective_camera(fov=40, near=extent / 100, far=extent * 20)
     with ui.element("div").classes("scene-box"):
         with (
-            ui.scene(grid=False, camera=camera, background_color="#20242b", fps=FRAMES)
+            ui.scene(grid=False, camera=camera, background_color="#20242b", fps=POLLS)
             .classes("scene")
             .props("data-test=scene") as scene
         ):
