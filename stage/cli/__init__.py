@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from stage.cli.argument_parser import Parser
 
 MODULES = (
-    "demo", "home", "move", "tune", "mcp", "run", "replay", "serve", "panel", "fault", "erratum", "export", "example", "listing",
-    "pullout", "view", "new_model", "completion",
+    "demo", "home", "move", "tune", "mcp", "run", "replay", "serve", "ioc", "panel", "fault", "erratum", "export", "example",
+    "listing", "pullout", "view", "new_model", "completion",
 )  # fmt: skip
 """Modules of this package that add commands."""
 
 GROUPS = {
     "see": ("demo", "panel", "view", "fault", "erratum", "pullout"),
-    "move": ("move", "home", "dual-rate", "sync"),
+    "move": ("move", "home", "dual-rate", "sync", "ioc"),
     "test firmware": ("run", "replay", "serve", "include"),
     "tune and learn": ("tune", "mcp", "agent", "agent-replay", "bench", "bench-submit", "bench-table", "bench-verify"),
     "more": ("example", "new-model", "list", "chips", "registers", "export", "completion"),

@@ -44,6 +44,7 @@ LIBRARIES = {
     "argcomplete": Extra("argcomplete", "completion"),
     "rerun_notebook": Extra("rerun's widget", "notebook"),
     "nicegui": Extra("NiceGUI", "panel"),
+    "caproto": Extra("caproto", "epics"),
     "mcp": Extra("the package mcp", "agents"),
     "numba_cuda": Extra("numba-cuda", "gpu"),
     "numba": Extra("numba", "gpu"),

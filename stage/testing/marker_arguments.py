@@ -18,6 +18,7 @@ from stage.support.files import FileError
 
 STAGE_ARGUMENTS = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")
 BOARD_ARGUMENTS = ("layout", "base", "stride", "keep_cycles", "devices")
+IOC_ARGUMENTS = ("model", "chips", "prefix", "pace", "options")
 FIRMWARE_ARGUMENTS = (
     "flags",
     "platform",
@@ -71,6 +72,18 @@ def read_board_arguments(node: pytest.Item) -> dict[str, Any]:
         arguments |= _bind_arguments(mark, BOARD_ARGUMENTS)
     if layouts.is_layout_file(arguments.get("layout")):
         arguments["layout"] = find_file(node, arguments["layout"], "layout")
+    return arguments
+
+
+def read_ioc_arguments(node: pytest.Item) -> dict[str, Any]:
+    """Return the arguments for IocProcess.
+
+    Raises:
+        ArgumentError: A marker has an argument that does not exist, or one twice.
+    """
+    arguments: dict[str, Any] = {}
+    for mark in _list_markers(node, "ioc"):
+        arguments |= _bind_arguments(mark, IOC_ARGUMENTS)
     return arguments
 
 

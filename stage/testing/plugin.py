@@ -1,4 +1,6 @@
-"""The pytest plugin: fixtures `stage`, `board` and `host`, their markers, and the files of a failed test. See docs/testing.md.
+"""The pytest plugin: fixtures `stage`, `board`, `host` and `ioc`, their markers, and the files of a failed test.
+
+See docs/testing.md.
 
 pytest loads this module in every session of an environment that has PulseStage. Slow imports are made by the fixtures, so a test
 without these fixtures is not affected. It has no assert statements: PYTEST_DONT_REWRITE.
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from stage.board import Board
     from stage.board.host import Host
     from stage.sim.stage import Stage
+    from stage.testing.ioc_process import IocProcess
 
 MARKERS = (
     "stage(model='xyz', chips='PCL240K', drives=None, bus_cycle=1e-6, clock=None, visuals=False, record=True, encoders=None): the "
@@ -27,6 +30,7 @@ MARKERS = (
     "board(layout=None, base=None, stride=None, keep_cycles=100000, devices=()): the chips on the host's bus, and devices",
     "firmware(*sources, flags=(), platform=None, libraries=(), isolated=True, patience=20.0, cost=0.0, mcu=None, map=(), "
     "pins=(), mcu_clock=None): C or C++ sources, a library, or a program of another processor, for the fixture `host`",
+    "ioc(model='xyz', chips='PCL240K', prefix='STAGE:', pace='free', options=()): the IOC of a module, for the fixture `ioc`",
 )
 OPTIONS = {
     "output": (None, "folder for what failed tests leave: recording, waveforms, bus trace (default: .pulsestage)"),
@@ -106,6 +110,23 @@ def host(request: pytest.FixtureRequest, board: Board) -> Iterator[Host]:
             host = NativeHost(path, board, **arguments)
     with host:
         yield host
+
+
+@pytest.fixture(scope="module")
+def ioc(request: pytest.FixtureRequest) -> Iterator[IocProcess]:
+    """Yield an EPICS IOC with the motor records of a stage, in a process of its own.
+
+    @pytest.mark.ioc(...) of the module says which stage. Clients of this process find this IOC and no other one. Without
+    caproto, the tests of the module are skipped.
+    """
+    pytest.importorskip("caproto", reason="needs the extra epics: pip install 'pulsestage[epics]'")
+    with _report_plainly():
+        from stage.testing import marker_arguments
+        from stage.testing.ioc_process import IocProcess
+
+        process = IocProcess(**marker_arguments.read_ioc_arguments(request.node))
+    with process:
+        yield process
 
 
 @contextmanager

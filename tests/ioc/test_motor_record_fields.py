@@ -1,0 +1,227 @@
+"""Semantics of the motor record: limits, coordinates, stops, homing, jogs, backlash, lost steps, faults and refusals."""
+
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from stage.testing.ioc_process import IocProcess
+
+pytestmark = pytest.mark.ioc(model="xyz", chips="pcl240mk", pace="free")
+epics = pytest.importorskip("epics")
+
+RESOLUTION_MM = 10 / 3200
+PLUS_LIMIT, MINUS_LIMIT, DONE, HOMED, PROBLEM = 0x4, 0x2000, 0x2, 0x4000, 0x200
+
+
+class Record:
+    """Fields of a motor record by pyepics: record["VELO"], record.put("VAL", 5)."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def __getitem__(self, field):
+        name = field if field.startswith(":") else f".{field}"
+        return epics.caget(
+            self.name + name, use_monitor=False, timeout=5, as_string=field in (":Message", ":Fault", ":Switches")
+        )
+
+    def put(self, field, value, wait=True):
+        name = field if field.startswith(":") else f".{field}"
+        assert epics.caput(self.name + name, value, wait=wait, timeout=40) == 1, (field, value)
+
+    def wait(self, field, value, seconds=10):
+        end = time.monotonic() + seconds
+        while self[field] != value:
+            assert time.monotonic() < end, (field, value, self[field])
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def x(ioc):
+    """Record of x at 0, as after a start of the IOC."""
+    record = Record("STAGE:x")
+    fields = {
+        ":Fault": 0, "SPMG": 3, "SET": 0, "FOFF": 0, "DIR": 0, "OFF": 0, "DLLM": -144, "DHLM": 144, "BDST": 0, "RTRY": 0, "UEIP": 0,
+        "VELO": 40, "VBAS": 0,
+    }  # fmt: skip
+    for field, value in fields.items():
+        record.put(field, value)
+    record.put("VAL", 0)
+    return record
+
+
+def test_a_target_beyond_the_soft_limits_moves_nothing_and_sets_lvio(x):
+    x.put("HLM", 10)
+    x.put("VAL", 10.5)
+    assert (x["LVIO"], x["RBV"], x["VAL"]) == (1, 0, 0)
+    assert "beyond the soft limits" in x[":Message"]
+    x.put("VAL", 9)
+    assert (x["LVIO"], x["RBV"]) == (0, 9)
+
+
+def test_user_coordinates_follow_direction_and_offset_and_nothing_moves(x):
+    x.put("VAL", 4)
+    x.put("OFF", 1)
+    assert (x["VAL"], x["RBV"], x["DRBV"], x["HLM"], x["DHLM"]) == (5, 5, 4, 145, 144)
+    x.put("DIR", 1)
+    assert (x["VAL"], x["RBV"], x["DRBV"], x["HLM"], x["LLM"]) == (-3, -3, 4, 145, -143)
+    x.put("VAL", -2)
+    assert x["DRBV"] == pytest.approx(3, abs=RESOLUTION_MM)
+
+
+def test_set_mode_redefines_the_position_by_the_offset_or_by_the_counter(x):
+    x.put("VAL", 2)
+    x.put("SET", 1)
+    x.put("VAL", 7)
+    assert (x["RBV"], x["DRBV"], x["OFF"]) == (7, 2, 5)
+    x.put("FOFF", 1)
+    x.put("VAL", 6)
+    assert (x["RBV"], x["DRBV"], x["OFF"], x["RRBV"]) == (6, 1, 5, 320)
+    x.put("DVAL", 2)
+    x.put("SET", 0)
+    assert x[":TruePosition"] == pytest.approx(2, abs=0.03)
+
+
+def test_a_stop_in_motion_ends_the_move_and_the_target_follows(x):
+    x.put("VELO", 1)
+    x.put("VAL", 100, wait=False)
+    x.wait("DMOV", 0)
+    time.sleep(0.3)
+    x.put("STOP", 1)
+    x.wait("DMOV", 1)
+    assert 0 < x["RBV"] < 100
+    assert x["VAL"] == x["RBV"]
+
+
+def test_a_new_target_in_motion_replaces_the_old_one(x):
+    x.put("VELO", 1)
+    x.put("VAL", 100, wait=False)
+    x.wait("DMOV", 0)
+    x.put("VELO", 40)
+    x.put("VAL", -3)
+    assert (x["RBV"], x["DMOV"]) == (pytest.approx(-3, abs=RESOLUTION_MM), 1)
+
+
+def test_pause_keeps_the_target_and_go_completes_it(x):
+    x.put("VELO", 1)
+    x.put("VAL", 20, wait=False)
+    x.wait("DMOV", 0)
+    time.sleep(0.2)
+    x.put("SPMG", 1)
+    assert x["RBV"] < 20
+    assert x["VAL"] == 20
+    x.put("VELO", 40)
+    x.put("SPMG", 3)
+    assert x["RBV"] == pytest.approx(20, abs=RESOLUTION_MM)
+
+
+@pytest.mark.parametrize("field", ["HOMR", "HOMF"])
+def test_homing_in_both_directions_finds_the_switch(x, field):
+    x.put("HVEL", 60)
+    x.put("VAL", -100 if field == "HOMR" else 100)
+    x.put(field, 1)
+    assert x[field] == 0
+    assert x["MSTA"] & HOMED
+    assert x["RBV"] == pytest.approx(-120, abs=RESOLUTION_MM)
+    assert x[":TruePosition"] == pytest.approx(-120, abs=0.03)
+
+
+def test_a_jog_without_soft_limits_ends_at_the_limit_switch(x):
+    x.put("VAL", 130)
+    x.put("DLLM", 0)
+    x.put("DHLM", 0)
+    x.put("JVEL", 40)
+    x.put(":Fault", "el_plus stuck on")
+    x.put("JOGF", 1)
+    assert (x["JOGF"], x["HLS"], x["DMOV"]) == (0, 1, 1)
+    assert x["MSTA"] & PLUS_LIMIT
+    assert x["MSTA"] & DONE
+    assert not x["MSTA"] & MINUS_LIMIT
+    assert x["RBV"] < 149
+    assert epics.PV("STAGE:x.RBV", form="time").get_timevars()["severity"] == 2
+
+
+def test_a_jog_with_soft_limits_ends_at_them(x):
+    x.put("HLM", 6)
+    x.put("JVEL", 40)
+    x.put("JOGF", 1)
+    assert x["RBV"] == pytest.approx(6, abs=RESOLUTION_MM)
+    assert x["LVIO"] == 1
+
+
+def test_backlash_takeout_comes_from_the_same_side(x):
+    x.put("BDST", 0.5)
+    lowest, pv = [], epics.PV("STAGE:x.RBV")
+    pv.wait_for_connection(5)
+    pv.add_callback(lambda value=None, **kwargs: lowest.append(value))
+    x.put("BVEL", 1)
+    x.put("VAL", -5)
+    epics.poll(0.3)
+    assert min(lowest) == pytest.approx(-5.5, abs=0.05), "it goes beyond the target first"
+    assert x["RBV"] == pytest.approx(-5, abs=RESOLUTION_MM)
+
+
+def test_lost_steps_show_by_the_encoder_and_homing_repairs_them(x):
+    x.put(":Fault", "jam")
+    x.put("VAL", 3)
+    assert x["RBV"] == pytest.approx(3, abs=RESOLUTION_MM), "the pulses were made"
+    assert abs(x[":TruePosition"]) < 0.5
+    assert x[":LostSteps"] != 0
+    x.put("UEIP", 1)
+    assert abs(x["RBV"]) < 0.5
+    x.put(":Fault", "none")
+    x.put("UEIP", 0)
+    x.put("HVEL", 60)
+    x.put("HOMR", 1)
+    x.put("VAL", 0)
+    assert x[":TruePosition"] == pytest.approx(0, abs=0.05)
+
+
+def test_what_is_no_position_or_speed_is_refused_with_a_message(x):
+    x.put("VAL", math.nan)
+    assert "finite" in x[":Message"]
+    assert epics.PV("STAGE:x", form="time").get_timevars()["severity"] == 3
+    assert x["MSTA"] & PROBLEM
+    x.put("VELO", -1)
+    assert x["VELO"] == 40
+    x.put("VELO", 1e6)
+    assert x["VELO"] == x["VMAX"], "clipped in silence, as by the real record"
+    x.put("VELO", 40)
+    x.put("VAL", 1)
+    assert x[":Message"] == ""
+    assert not x["MSTA"] & PROBLEM
+
+
+def test_a_killed_client_changes_nothing(x):
+    program = "import epics, time; epics.caput('STAGE:x.VELO', 1); epics.caput('STAGE:x', 50); print('put', flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as client:
+        assert client.stdout.readline() == b"put\n"
+        os.kill(client.pid, signal.SIGKILL)
+    x.put("STOP", 1)
+    x.wait("DMOV", 1)
+    x.put("VELO", 40)
+    x.put("VAL", 2)
+    assert x["RBV"] == pytest.approx(2, abs=RESOLUTION_MM)
+
+
+def test_a_port_in_use_is_refused_with_what_to_do(ioc):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        command = [sys.executable, "-m", "stage", "ioc", "--port", str(taken.getsockname()[1])]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert "Choose another --port" in done.stderr
+
+
+def test_an_ended_ioc_leaves_no_process(ioc):
+    with IocProcess(prefix="OTHER", chips="stepdir") as other:
+        assert epics.caget("OTHERx.RBV", timeout=10) == 0, "a prefix without a colon is taken as it is"
+        process = other.process
+    assert process.poll() is not None
