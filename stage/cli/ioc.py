@@ -89,13 +89,13 @@ def run(args: argparse.Namespace) -> int:
     import_extra("caproto", "stage ioc")
     from stage.ioc.server import LOCAL_HOST, Ioc, serve, set_server_port
 
+    interfaces = args.bind or [LOCAL_HOST]
     if args.port is not None:
-        set_server_port(args.port)
+        set_server_port(args.port, interfaces)
     port = args.port or int(os.environ.get("EPICS_CA_SERVER_PORT", DEFAULT_PORT))
     stage = make_stage(args, visuals=False)
     place_carriages(args, stage)
     ioc = Ioc(stage, args.prefix, args.pace, 1 / args.rate)
-    interfaces = args.bind or [LOCAL_HOST]
     if any(address != LOCAL_HOST for address in interfaces):
         warn(args, "other machines may reach this IOC, and there is no password: whoever connects drives the stage.")
 

@@ -203,7 +203,7 @@ class MotionController:
     ):
         self.axes = {name: ControlledAxis(axis) for name, axis in stage.axes.items()}
         self._publish, self._period, self._published = publish, period, 0.0
-        self._under_way: list[tuple[ControlledAxis, AxisAction, Future[Reading]]] = []
+        self._actions: list[tuple[ControlledAxis, AxisAction, Future[Reading]]] = []
         self._session = Session(stage, speed=pace, paused=pace == FREE)
         self._stops_time = pace == FREE
         self._session.call_after_slices(self._update)
@@ -240,7 +240,7 @@ class MotionController:
             if action is None:
                 done.set_result(axis.read())
                 return
-            self._under_way.append((axis, action, done))
+            self._actions.append((axis, action, done))
             if self._stops_time:
                 self._session.paused = False
 
@@ -254,16 +254,16 @@ class MotionController:
     def _update(self, stage: Stage) -> None:
         """Complete the futures of actions that have ended, and publish readings. The worker calls it after each slice."""
         trouble = self._session.view.trouble
-        for entry in tuple(self._under_way):
+        for entry in tuple(self._actions):
             axis, action, done = entry
             if trouble:
                 action.cancel()
             if action.is_done:
-                self._under_way.remove(entry)
+                self._actions.remove(entry)
                 axis.reason = getattr(action.report, "stopped_by", "")
                 axis.trouble = trouble or (str(action.error) if action.error is not None else "")
                 done.set_result(axis.read(trouble))
-        if self._stops_time and not self._under_way:
+        if self._stops_time and not self._actions:
             self._session.paused = True
         now = perf_counter()
         if now - self._published >= 0.95 * self._period:

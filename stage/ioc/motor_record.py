@@ -15,14 +15,16 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 from caproto import AlarmSeverity, AlarmStatus, ChannelType, SkipWrite
 from caproto.server import PVGroup, pvproperty
 from caproto.server.records import MotorFields
-from caproto.server.server import PvpropertyString
+from caproto.server.server import PvpropertyDouble, PvpropertyString
 
 from stage.errors import StageError
+from stage.firmware import AxisAction
 from stage.ioc.motion_controller import ControlledAxis, MotionController, Profile, Reading
 
 Motion = Callable[[int], Awaitable[bool]]
@@ -54,6 +56,14 @@ class StageMotorFields(MotorFields):
     engineering_units = pvproperty(name="EGU", dtype=PvpropertyString, value="")
 
 
+class TargetValue(PvpropertyDouble):
+    """VAL, whose control limits only inform clients: the soft limits are checked by its putter, as the real record does."""
+
+    async def verify_value(self, value: Any) -> Any:
+        """Pass a value on to the putter."""
+        return value if self.putter is None else await self.putter(self, value)
+
+
 class MotorRecord(PVGroup):
     """Motor record of an axis, and a PV with the last message.
 
@@ -63,7 +73,7 @@ class MotorRecord(PVGroup):
         axis: The axis.
     """
 
-    motor = pvproperty(value=0.0, name="", record=StageMotorFields, precision=PRECISION)
+    motor = pvproperty(dtype=TargetValue, value=0.0, name="", record=StageMotorFields, precision=PRECISION)
     message = pvproperty(
         value="", name=":Message", dtype=ChannelType.CHAR, max_length=MESSAGE_LENGTH, report_as_string=True,
         read_only=True, doc="why the last request was refused, or what went wrong",
@@ -293,7 +303,7 @@ class MotorRecord(PVGroup):
             for dial, profile in self._plan_stages(target):
                 if number != self._number:
                     return False
-                reading = await self._act(lambda axis, d=dial, p=profile: axis.begin_move(d, p))
+                reading = await self._act(partial(_begin_move, dial, profile))
                 if reading.reason in EARLY_REASONS:
                     return number == self._number
             miss = abs(target - self._get_dial_reading())
@@ -312,8 +322,8 @@ class MotorRecord(PVGroup):
         if abs(backlash) < max(self.get("SPDB"), self._axis.step):
             return [(target, slew)]
         takeout, slow = target - backlash, self._get_profile("BVEL", "BACC")
-        here = self._reading.dial
-        is_within = min(takeout, target) <= here <= max(takeout, target)
+        position = self._reading.dial
+        is_within = min(takeout, target) <= position <= max(takeout, target)
         return [(target, slow)] if is_within else [(takeout, slew), (target, slow)]
 
     # --- puts that move ---
@@ -345,7 +355,7 @@ class MotorRecord(PVGroup):
             await self.motor.write(self._to_user(value))
         raise SkipWrite
 
-    async def _put_raw_target(self, instance: Any, value: int) -> int:
+    async def _put_raw_target(self, instance: Any, value: int) -> float:
         return await self._put_dial_target(instance, value * self._axis.step)
 
     async def _put_relative(self, instance: Any, value: float) -> float:
@@ -483,7 +493,7 @@ class MotorRecord(PVGroup):
         raise SkipWrite
 
     async def _redefine_position(self, user: float) -> None:
-        """In SET mode, make the present position `user`: by the offset, or by the controller's counter if FOFF is Frozen."""
+        """Make the present position `user` in SET mode: by the offset, or by the controller's counter if FOFF is Frozen."""
         if self.get("FOFF") in ("Frozen", 1):
             await self._set_dial_position(self._to_dial(user))
         else:
@@ -550,3 +560,8 @@ class MotorRecord(PVGroup):
             await self._refuse_request(str(error))
             raise SkipWrite from None
         return value
+
+
+def _begin_move(dial: float, profile: Profile, axis: ControlledAxis) -> AxisAction | None:
+    """Begin a move of an axis to a dial position."""
+    return axis.begin_move(dial, profile)

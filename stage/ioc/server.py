@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 from collections.abc import Callable, Mapping
 
 from caproto.asyncio.server import Context
+from caproto.server import PVGroup
 
 from stage.errors import ArgumentError, StageError
 from stage.ioc.machine_pvs import AxisPVs, StagePVs
@@ -44,22 +46,23 @@ class Ioc:
             name: AxisPVs(prefix + name, controller=self._controller, axis=axis) for name, axis in axes.items()
         }
         self._stage_pvs = StagePVs(prefix, controller=self._controller)
-        groups = [*self._records.values(), *self._axis_pvs.values(), self._stage_pvs]
+        groups: list[PVGroup] = [*self._records.values(), *self._axis_pvs.values(), self._stage_pvs]
         self._pvs = {name: pv for group in groups for name, pv in group.pvdb.items()}
         self.pvs = tuple(self._pvs)
 
-    async def run(self, interfaces: list[str], on_ready: Callable[[], None]) -> None:
+    async def run(self, interfaces: list[str], report_start: Callable[[], None]) -> None:
         """Serve until the task is cancelled.
 
         Args:
             interfaces: Addresses of this machine to listen on.
-            on_ready: Function that is called once, before the first client can connect.
+            report_start: Function that is called once, before the first client can connect.
         """
         self._loop = asyncio.get_running_loop()
         try:
-            for group in (*self._records.values(), *self._axis_pvs.values()):
-                await group.start()
-            on_ready()
+            for name, record in self._records.items():
+                await record.start()
+                await self._axis_pvs[name].start()
+            report_start()
             await Context(self._pvs, interfaces).run(log_pv_names=False)
         finally:
             self._controller.close()
@@ -81,26 +84,43 @@ class Ioc:
             self._is_publishing = False
 
 
-def set_server_port(port: int) -> None:
-    """Choose the port of the IOC by the environment that caproto reads."""
+def set_server_port(port: int, interfaces: list[str]) -> None:
+    """Choose the port of the IOC by the environment that caproto reads.
+
+    Args:
+        port: TCP and UDP port.
+        interfaces: Addresses of this machine to listen on.
+
+    Raises:
+        ArgumentError: Another program listens on the port. caproto would choose another one without a word.
+    """
+    for address in interfaces:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((address, port))
+            except OSError as error:
+                raise ArgumentError(
+                    f"port {port} of {address}: {error.strerror}. Choose another --port or --bind."
+                ) from error
     for variable in PORT_VARIABLES:
         os.environ[variable] = str(port)
 
 
-def serve(ioc: Ioc, interfaces: list[str], on_ready: Callable[[], None]) -> None:
+def serve(ioc: Ioc, interfaces: list[str], report_start: Callable[[], None]) -> None:
     """Serve an IOC until Ctrl-C or SIGTERM.
 
     Args:
         ioc: The IOC.
         interfaces: Addresses of this machine to listen on.
-        on_ready: Function that is called once, before the first client can connect.
+        report_start: Function that is called once, before the first client can connect.
 
     Raises:
         ArgumentError: The port or an address cannot be used.
     """
 
     async def run_until_signal() -> None:
-        task = asyncio.ensure_future(ioc.run(interfaces, on_ready))
+        task = asyncio.ensure_future(ioc.run(interfaces, report_start))
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, task.cancel)

@@ -120,16 +120,16 @@ def test_ophyd_async_motor_moves_and_reports_its_limits(ioc):
 
 def test_every_put_shows_done_moving_1_0_1_with_the_last_readback_before_it(epics):
     done, readback = epics.PV("STAGE:z.DMOV"), epics.PV("STAGE:z.RBV")
-    seen = []
+    changes_of_both = []
     done.wait_for_connection(5)
     readback.wait_for_connection(5)
-    done.add_callback(lambda value=None, **kwargs: seen.append(("DMOV", value)))
-    readback.add_callback(lambda value=None, **kwargs: seen.append(("RBV", value)))
+    done.add_callback(lambda value=None, **kwargs: changes_of_both.append(("DMOV", value)))
+    readback.add_callback(lambda value=None, **kwargs: changes_of_both.append(("RBV", value)))
     assert epics.caput("STAGE:z", 1.0, wait=True, timeout=20) == 1
     epics.poll(0.3)
-    seen.clear()
+    changes_of_both.clear()
     assert epics.caput("STAGE:z", 1.0, wait=True, timeout=20) == 1
     epics.poll(0.2)
-    changes = [value for name, value in seen if name == "DMOV"]
+    changes = [value for name, value in changes_of_both if name == "DMOV"]
     assert changes == [0, 1]
-    assert any(a[0] == "RBV" and b == ("DMOV", 1) for a, b in pairwise(seen))
+    assert any(a[0] == "RBV" and b == ("DMOV", 1) for a, b in pairwise(changes_of_both))
