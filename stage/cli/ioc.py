@@ -7,7 +7,7 @@ import math
 import os
 from typing import Any
 
-from stage.cli.commands import add_command, warn
+from stage.cli.command_interface import add_command, warn
 from stage.cli.options import add_model_argument, add_stage_options, parse_port
 from stage.cli.stage_setup import make_stage, place_carriages
 from stage.errors import ArgumentError
