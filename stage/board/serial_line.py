@@ -272,7 +272,9 @@ class SerialPort:
         """
         self.check_is_wired()
         if self._end is not None:
-            raise StageError("this serial line has another end already: a line has two.")
+            raise StageError(
+                "this serial line has another end already, such as a chip of --pins x.uart=Serial: a line has two ends."
+            )
         self._end, self.connected_at = end, self._host.board.stage.now
         self._unread.clear()
 
