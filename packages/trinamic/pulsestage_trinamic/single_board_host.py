@@ -35,6 +35,8 @@ YIELD_S = 20e-6
 """Real time for which a thread then steps back."""
 POLL_S = 200e-6
 """Real time between two looks at the serial port while no simulated time passes."""
+TURNAROUND_S = 200e-6
+"""Simulated time that passes after the last byte: no program is faster, and chips listen again after an idle time."""
 CLOCKS = ("time", "monotonic", "perf_counter")
 
 
@@ -115,9 +117,12 @@ class SingleBoardHost:
 
     def _serve(self) -> None:
         """Let time pass while a program waits for a reply, until `close`."""
+        idle_from = 0.0
         while not self._closes.is_set():
             with self._lock:
-                is_busy = self._exchange()
+                if self._exchange():
+                    idle_from = self.stage.time + TURNAROUND_S
+                is_busy = self.stage.time < idle_from
                 if is_busy:
                     self._advance(SHARED_SLICE_S)
             self._real_sleep(YIELD_S if is_busy else POLL_S)

@@ -46,6 +46,18 @@ def test_a_program_that_waits_at_the_pty_gets_the_echo_and_the_reply(host):
     assert 200 * 8681e-9 < host.stage.time < 5e-3
 
 
+def test_a_program_reaches_each_chip_of_one_wire_at_its_address():
+    stage = Stage("xy", chips="stepdir", drives="tmc2209", visuals=False)
+    stage.axes["y"].chip.pins.ms1 = False
+    with SingleBoardHost(stage) as host:
+        port = os.open(host.open_uart("x", "y", echo=False), os.O_RDWR | os.O_NOCTTY)
+        for address, pins in ((3, 0x4C), (2, 0x48)):  # MS1, MS2 and PDN_UART of IOIN
+            os.write(port, build_read(address, 0x06))
+            assert read_all(port, 8)[:7] == bytes((5, 255, 6, 0x21, 0, 0, pins))
+            time.sleep(0.01)
+        os.close(port)
+
+
 def test_pins_step_the_motor_and_a_watched_line_calls_back(host):
     levels = []
     host.watch_line("x", "index", levels.append)

@@ -179,6 +179,47 @@ def test_a_serial_line_with_chips_takes_no_other_end(tmp_path):
         host.serial.connect(UartWire([stage.axes["y"].chip.uart]))
 
 
+SKETCH = """
+#include <Arduino.h>
+
+static uint8_t crc_of(const uint8_t *bytes, int n)
+{
+    uint8_t crc = 0;
+    for (int k = 0; k < n; k++)
+        for (int bit = 0, byte = bytes[k]; bit < 8; bit++, byte >>= 1)
+            crc = uint8_t((crc >> 7 ^ (byte & 1)) ? crc << 1 ^ 7 : crc << 1);
+    return crc;
+}
+
+void setup()
+{
+    Serial.begin(115200);
+    uint8_t request[4] = {5, 3, 6, 0}, reply[12];
+    request[3] = crc_of(request, 3);
+    while (Serial.available())
+        Serial.read();
+    Serial.write(request, 4);
+    Serial.setTimeout(20);
+    const size_t count = Serial.readBytes(reply, 12);
+    char text[40];
+    sprintf(text, "%d bytes, version %02X, CRC %s", int(count), reply[7], crc_of(reply + 4, 7) == reply[11] ? "right" : "wrong");
+    ps_log(text);
+}
+
+void loop() { delay(10); }
+"""
+
+
+def test_a_sketch_reads_a_register_by_serial(tmp_path):
+    source = tmp_path / "uart.ino"
+    source.write_text(SKETCH)
+    stage = Stage("xy", chips="stepdir", drives="tmc2209", visuals=False)
+    host = NativeHost(str(source), Board(stage), platform="arduino", pins="x.uart=Serial")
+    host.run_for(0.05)
+    host.close()
+    assert "12 bytes, version 21, CRC right" in [text for _, text in host.log]
+
+
 AVR = r"""
 #include <avr/io.h>
 
