@@ -30,7 +30,7 @@ from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevic
 from stage.board.errors import HostError
 from stage.board.host_record_link import Link
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
-from stage.board.serial_line import SerialLine
+from stage.board.serial_line import SerialLines
 from stage.chips.diagnostics import JournalLint
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim.stage import MAX_RUN_S, Stage
@@ -107,7 +107,8 @@ class Board:
         for chip in stage.chips:
             if self.LINTS and chip.journal_lint is None:
                 chip.journal_lint = JournalLint(chip)
-        self.serial = SerialLine(self)
+        self.serial_lines = SerialLines(self)
+        self.serial = self.serial_lines.lines[0]
         self.link = Link(self)
         if not isinstance(devices, Iterable):
             raise ArgumentError(f'devices={devices!r}: a list of texts, for example ["hctl2016:0x320:x"].')

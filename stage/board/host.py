@@ -19,6 +19,7 @@ from typing import Any, Protocol, Self
 
 from stage.board import firmware_library, memory_mapped_ports
 from stage.board.board import Board
+from stage.board.bus.serial_core import LINES
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
 from stage.board.firmware_pins import parse_firmware_pins
@@ -85,17 +86,19 @@ class Host:
     Attributes:
         path: File of the firmware.
         board: The Board that it drives.
-        serial: Other end of the firmware's serial line.
+        serial: Other end of the firmware's first serial line.
         pacing: Pace of the run in wall-clock time, or None for as fast as possible.
         serial_lack: Sentence about firmware that has no serial line.
         is_closed: Whether the firmware was closed, and no run has begun since.
     """
 
     serial_lack = "it has no serial line."
+    SERIAL_LINES = 1
+    """Number of serial lines of the firmware."""
 
     def __init__(self, program: Program, board: Board, isolated: bool, patience: float):
         self.path, self.board = program.path, board
-        board.serial.record["is_wired"] = 0
+        board.serial_lines.rows["is_wired"] = 0
         self._runner: Runner
         if isolated:
             from stage.board.isolation.process_runner import ProcessRunner
@@ -106,6 +109,7 @@ class Host:
         self._start = (0, 0)  # time and cycles
         self.is_closed = False
         self.serial = SerialPort(self)
+        self._serial_ports = {0: self.serial}
         self.pacing: RealTimePace | None = None
         self._wires: list[tuple[tuple[str, ...], UartWire]] = []
 
@@ -127,12 +131,27 @@ class Host:
             ArgumentError: The firmware does not have the serial line.
         """
         for number, axes in wires.items():
-            if number:
+            if number >= self.SERIAL_LINES:
                 raise ArgumentError(f"--pins {axes[0]}.uart: this firmware has one serial line, Serial.")
             chips: list[Any] = [self.board.stage.axes[name].chip for name in axes]
-            wire = UartWire([chip.uart for chip in chips], self.board.serial.read_byte_ns)
-            self.serial.connect(wire)
+            wire = UartWire([chip.uart for chip in chips], self.board.serial_lines.lines[number].read_byte_ns)
+            self.get_serial_port(number).connect(wire)
             self._wires.append((tuple(axes), wire))
+
+    def get_serial_port(self, number: int) -> SerialPort:
+        """Return the other end of a serial line; bytes that the firmware sends over it before the first call are lost.
+
+        Args:
+            number: 0 is `serial`. Of a sketch, 1 to 3 are Serial1 to Serial3, and 4 to 7 its first objects of SoftwareSerial.
+
+        Raises:
+            ArgumentError: There is no line with this number.
+        """
+        if not (isinstance(number, int) and 0 <= number < self.SERIAL_LINES):
+            raise ArgumentError(f"number={number!r}: this firmware has the serial lines 0 to {self.SERIAL_LINES - 1}.")
+        if number not in self._serial_ports:
+            self._serial_ports[number] = SerialPort(self, number)
+        return self._serial_ports[number]
 
     @property
     def running(self) -> bool:
@@ -268,23 +287,26 @@ class Host:
         return None if code is None else Result(code, (stage.now - now) * 1e-9, board.cycles - cycles)
 
     def _run_to(self, end: int) -> int | None:
-        """Run the firmware until it returns, until the time `end` (ns), or until the other end of its serial line is satisfied.
+        """Run the firmware until it returns, until the time `end` (ns), or until the other end of a serial line is satisfied.
 
         Returns:
             Exit code of the firmware, or None if it is paused.
         """
-        board, serial, pacing = self.board, self.serial, self.pacing
+        board, ports, pacing = self.board, tuple(self._serial_ports.values()), self.pacing
         while True:
-            serial.exchange()
-            until, begin = serial.choose_next_exchange(end), board.stage.now
+            for port in ports:
+                port.exchange()
+            until, begin = min(port.choose_next_exchange(end) for port in ports), board.stage.now
             if pacing is not None:
                 pacing.start(begin)
                 until = min(until, begin + pacing.SLICE_NS)
             code = self._runner.resume(until, self._cycle_limit)
-            moved = serial.exchange()
+            moved = sum([port.exchange() for port in ports])
             if pacing is not None:
                 pacing.wait(board.stage.now)
-            is_over = board.stage.now >= end or board.cycles >= self._cycle_limit or serial.is_satisfied
+            is_over = (
+                board.stage.now >= end or board.cycles >= self._cycle_limit or any(port.is_satisfied for port in ports)
+            )
             if code is not None or is_over or not (moved or board.stage.now > begin):
                 return code
 
@@ -358,6 +380,8 @@ class NativeHost(Host):
         CompileError, NoCompilerError: See `build`.
     """
 
+    SERIAL_LINES = LINES
+
     def __init__(  # noqa: PLR0913  each is one property of the firmware or of its wiring
         self,
         firmware: str | os.PathLike | Sequence[str | os.PathLike],
@@ -385,7 +409,7 @@ class NativeHost(Host):
         folder = self._scratch.path if self._scratch else None
         path = firmware_library.find_library(firmware, flags, platform, folder, cost > 0, libraries)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12), lines), board, isolated, patience)
-        board.serial.record["is_wired"] = 1
+        board.serial_lines.rows["is_wired"] = 1
         self._connect_uarts(wires)
 
 

@@ -104,7 +104,7 @@ class Link:
         h["until"] = h["max_cycles"] = UNBOUNDED
         h["journals"] = 1
         self.publish_devices()
-        h["serial"] = self.board.serial.address
+        h["serial"] = self.board.serial_lines.address
         h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
 
     def publish_ports(self) -> None:
@@ -120,9 +120,9 @@ class Link:
         self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
     def use_serial_rows(self, rows: np.ndarray) -> None:
-        """Keep the serial line of the board in `rows`, an array of one LINE record, from now on."""
-        self.board.serial.use_rows(rows)
-        self.record["serial"] = self.board.serial.address
+        """Keep the serial lines of the board in `rows`, an array of a LINE record for each, from now on."""
+        self.board.serial_lines.use_rows(rows)
+        self.record["serial"] = self.board.serial_lines.address
 
     def check_is_current(self) -> None:
         """Raise StageError if another board has replaced this one on the stage; two boards would each have their own

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stage.board.bus import host_record, host_requests, interrupt_controller
+from stage.board.bus import host_record, host_requests, interrupt_controller, serial_core
 from stage.board.errors import HostError
 from stage.errors import ArgumentError
 from stage.native import without_attributes
@@ -185,6 +185,10 @@ class PythonInterruptHooks:
             **dict.fromkeys(
                 (host_record.SET_LINES, host_record.READ_LINES, host_record.WATCH_LINES),
                 f"lines of chip {a}: this stage has chips 0 to {len(self._link.stage.chips) - 1}",
+            ),
+            **dict.fromkeys(
+                (host_record.SEND_SERIAL, host_record.READ_SERIAL, host_record.SET_SERIAL_RATE),
+                f"serial line {a}: a board has serial lines 0 to {serial_core.LINES - 1}",
             ),
             host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupt_controller.SOFTWARE - 1}",
         }

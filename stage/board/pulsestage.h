@@ -56,7 +56,7 @@ struct pulsestage_bus {
 
 enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_TIMER = 10, PS_ON_LINE, PS_SPEND,
        PS_IN32, PS_OUT32, PS_WINDOW, PS_LEVEL = 18, PS_RAISE, PS_SET_LINES = 21, PS_READ_LINES, PS_SEND_SERIAL, PS_READ_SERIAL,
-       PS_SET_SERIAL_RATE, PS_WATCH_LINES };
+       PS_SET_SERIAL_RATE, PS_WATCH_LINES, PS_NANOSECONDS };
 
 #if defined(_MSC_VER)
 #define PULSESTAGE_SHARED __declspec(selectany) __declspec(dllexport)
@@ -125,6 +125,9 @@ static inline uint16_t ps_until16(uint32_t port, uint16_t mask, uint16_t value, 
 /* time */
 static inline void ps_delay_us(uint32_t us) { ps_request(PS_DELAY, us, 0); }
 static inline uint64_t ps_micros(void) { return (uint64_t)ps_request(PS_MICROS, 0, 0); }
+#if !defined(PULSESTAGE_REMOTE) /* without a bus cycle: for models of a processor's own timers, not for loops that wait */
+static inline uint64_t ps_nanoseconds(void) { return (uint64_t)ps_request(PS_NANOSECONDS, 0, 0); }
+#endif
 
 /* a line for the log of the run */
 static inline void ps_log(const char *text) { ps_request(PS_LOG, (int64_t)(intptr_t)text, 0); }
@@ -138,9 +141,19 @@ static inline void ps_logf(const char *format, ...)
     ps_log(text);
 }
 
-/* The serial line (docs/serial.md). A byte that is sent takes no time; a look for a byte that is not there takes a bus cycle.
+/* The first serial line (docs/serial.md). A byte that is sent takes no time; a look for a byte that is not there takes a bus cycle.
  *   ps_serial_read, ps_serial_peek   the next byte, or -1; peek leaves it there.
  *   ps_serial_rate                   bits per second at which bytes come in, ten a byte; 0, as at first: they take no time. */
+#if !defined(PULSESTAGE_REMOTE) /* the same with the number of a line, 0 to 7; 0 is the first */
+static inline void ps_serial_line_write(int line, uint8_t byte) { ps_request(PS_SEND_SERIAL, byte, line); }
+static inline int ps_serial_line_read(int line) { return (int)ps_request(PS_READ_SERIAL, 0, line); }
+static inline int ps_serial_line_peek(int line) { return (int)ps_request(PS_READ_SERIAL, 1, line); }
+static inline int ps_serial_line_available(int line) { return (int)ps_request(PS_READ_SERIAL, 2, line); }
+static inline void ps_serial_line_rate(int line, uint32_t bits_per_second)
+{
+    ps_request(PS_SET_SERIAL_RATE, bits_per_second, line);
+}
+#endif
 static inline void ps_serial_write(uint8_t byte) { ps_request(PS_SEND_SERIAL, byte, 0); }
 static inline void ps_serial_print(const char *text)
 {
@@ -258,10 +271,11 @@ static inline int ps_check_pin_(const char *function, int pin, const char *what,
     return 0;
 }
 
-/* Drives the lines at pins `first` to `first` + 31 that have changed, all at the end of one bus cycle. */
-static inline void ps_drive_pins(int first, uint32_t changed, uint32_t levels, uint32_t outputs)
+/* Drives the lines at pins `first` to `first` + 31 that have changed, all at one time; `cycle`: PS_WITH_CYCLE for the end of one bus
+ * cycle, 0 for now. */
+static inline void ps_drive_pins_(int first, uint32_t changed, uint32_t levels, uint32_t outputs, int64_t cycle)
 {
-    int64_t cycle = PS_WITH_CYCLE, chip = -1, mask = 0, asserted = 0, k;
+    int64_t chip = -1, mask = 0, asserted = 0, k;
     for (k = 0; k <= pulsestage_pins.n_lines; k++) {
         const struct pulsestage_line *line = pulsestage_pins.lines + k;
         const int is_end = k == pulsestage_pins.n_lines;
@@ -281,6 +295,10 @@ static inline void ps_drive_pins(int first, uint32_t changed, uint32_t levels, u
     }
     if (cycle)
         ps_micros();
+}
+static inline void ps_drive_pins(int first, uint32_t changed, uint32_t levels, uint32_t outputs)
+{
+    ps_drive_pins_(first, changed, levels, outputs, PS_WITH_CYCLE);
 }
 /* The levels of input pins `first` to `first` + 31, those of `wanted` only; `cycle`: 0, or PS_WITH_CYCLE for one bus cycle. */
 static inline uint32_t ps_read_pins(int first, uint32_t wanted, int64_t cycle)

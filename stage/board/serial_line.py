@@ -34,6 +34,35 @@ EXCERPT_SIZE = 200
 """Bytes of the firmware that a message shows."""
 
 
+class SerialLines:
+    """Serial lines of a board's host. The first is that of the first UART, of `Serial` of a sketch, or of functions in C.
+
+    Args:
+        board: The board.
+
+    Attributes:
+        rows: Array of a LINE record for each line. If the firmware runs in a separate process, both processes share this memory.
+        lines: The lines.
+    """
+
+    def __init__(self, board: Board):
+        self.lines = tuple(SerialLine(board) for _ in range(serial_core.LINES))
+        rows = np.zeros(serial_core.LINES, serial_core.LINE)
+        rows["pausing_byte"] = NO_BYTE
+        self.use_rows(rows)
+
+    def use_rows(self, rows: np.ndarray) -> None:
+        """Use another array of LINE records from now on; see `Link.use_serial_rows`."""
+        self.rows = rows
+        for line, record in zip(self.lines, rows.view(without_attributes(serial_core.LINE)), strict=True):
+            line.record = record
+
+    @property
+    def address(self) -> int:
+        """Address of the LINE records."""
+        return address_of(self.rows)
+
+
 class SerialLine:
     """Serial line of a board's host: two circular buffers that compiled code reads and writes.
 
@@ -41,25 +70,14 @@ class SerialLine:
         board: The board.
 
     Attributes:
-        rows: Array of one LINE record. If the firmware runs in a separate process, both processes share this memory.
+        record: Its LINE record.
     """
 
     does_pause = True
+    record: Any
 
     def __init__(self, board: Board):
         self._board = board
-        self.use_rows(np.zeros(1, serial_core.LINE))
-        self.record["pausing_byte"] = NO_BYTE
-
-    def use_rows(self, rows: np.ndarray) -> None:
-        """Use another array of one LINE record from now on; see `Link.use_serial_rows`."""
-        self.rows = rows
-        self.record = rows.view(without_attributes(serial_core.LINE))[0]
-
-    @property
-    def address(self) -> int:
-        """Address of the LINE record."""
-        return address_of(self.rows)
 
     @property
     def is_wired(self) -> bool:
@@ -172,7 +190,11 @@ class SerialEnd(Protocol):
 
 
 class SerialPort:
-    """Other end of the serial line of a host's firmware.
+    """Other end of a serial line of a host's firmware.
+
+    Args:
+        host: The host.
+        number: Number of the line.
 
     Attributes:
         received: Number of bytes that the firmware has sent so far.
@@ -181,8 +203,8 @@ class SerialPort:
         connected_at: Time of the stage at which it was connected, ns.
     """
 
-    def __init__(self, host: Host):
-        self._host = host
+    def __init__(self, host: Host, number: int = 0):
+        self._host, self._number = host, number
         self._end: SerialEnd | None = None
         self._unread, self._outgoing = bytearray(), bytearray()
         self._find: Callable[[], Any] | None = None
@@ -190,7 +212,7 @@ class SerialPort:
         self._uart_line: UartLine | None = None
         self.received = self.written = self.connected_at = 0
         self.arrivals: list[tuple[int, bytes]] = []
-        host.board.serial.record["is_open"] = 1
+        self._get_firmware_line().record["is_open"] = 1
 
     # --- for a person and for tests ---
 
@@ -330,13 +352,19 @@ class SerialPort:
 
     # --- inside ---
 
+    def _get_firmware_line(self) -> SerialLine:
+        """Return the firmware's own line of this number."""
+        return self._host.board.serial_lines.lines[self._number]
+
     @property
     def _line(self) -> SerialLine | UartLine:
-        """The serial line in use: that of the first UART on the bus, or the firmware's own if there is no UART."""
+        """The serial line in use: as the first line that of the first UART on the bus, otherwise the firmware's own."""
+        if self._number > 0:
+            return self._get_firmware_line()
         if self._uart_line is None:
             uart = next((device for device in self._host.board.devices if isinstance(device, UART)), None)
             if uart is None:
-                return self._host.board.serial
+                return self._get_firmware_line()
             self._uart_line = UartLine(uart)
         return self._uart_line
 

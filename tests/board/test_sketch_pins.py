@@ -248,16 +248,125 @@ def test_pins_of_the_bus_of_a_chip_are_no_step_pins(run):
     assert host.wiring_problems == ()
 
 
-def test_an_analog_write_at_a_line_of_an_axis_fails_the_run_unless_it_is_a_level(run):
-    """0 and 255 are levels on the board, too."""
-    host = run("void setup() { analogWrite(2, 64); analogWrite(6, 64); }", pins="x.step=2,x.dir=5")
-    assert (
-        "analogWrite of pin 2 made no pulses: there are no PWM outputs; use tone, or digitalWrite."
-        in host.wiring_problems
-    )
+@pytest.mark.parametrize(
+    ("pin", "steps"), [(9, 490), (10, 490), (3, 490), (11, 490), (5, 976), (6, 976), (2, 0)],
+)  # fmt: skip
+def test_an_analog_write_is_pwm_at_the_pins_of_timers(run, pin, steps):
+    """16 MHz / 64 / 510 is 490.2 Hz, 16 MHz / 64 / 256 is 976.6 Hz; pin 2 has no timer, and 64 is low there."""
+    host = run(f"void setup() {{ analogWrite({pin}, 64); delay(1000); }}", f"x.step={pin},x.dir=none")
+    assert list_steps(host)[0] in (steps, steps + 1)
+    problem = f"analogWrite of pin {pin} made no pulses: no timer has its output there."
+    assert host.wiring_problems == ((problem,) if steps == 0 else ())
+
+
+def test_the_values_0_and_255_of_an_analog_write_and_a_digital_write_end_the_pwm(run):
     host = run(
-        "void setup() { for (int k = 0; k < 20; k++) { analogWrite(2, 255); analogWrite(2, 0); } }",
-        pins="x.step=2,x.dir=5",
+        """void setup() {
+            for (int k = 0; k < 20; k++) { analogWrite(9, 255); delay(1); analogWrite(9, 0); delay(1); }
+            analogWrite(10, 128); delay(100); digitalWrite(10, LOW); delay(100);
+            analogWrite(3, 128); delay(100); digitalRead(3); delay(100);
+        }""",
+        "x.step=9,x.dir=none,y.step=10,y.dir=none,z.step=3,z.dir=none",
     )
-    assert host.wiring_problems == ()
-    assert list_steps(host)[0] == 20
+    assert list_steps(host) == [20, pytest.approx(49, abs=1), pytest.approx(49, abs=1)]
+
+
+def test_the_pwm_of_a_pin_is_high_for_its_part_of_the_period(run):
+    """Timer 1 counts up and down: 2 * 64 of 2 * 255 clocks of 4 us; timer 0 only up: 65 of 256."""
+    host = run("""
+        unsigned long wait_b(int mask, int level) { while ((PINB & mask) != (level ? mask : 0)) {} return micros(); }
+        unsigned long wait_d(int mask, int level) { while ((PIND & mask) != (level ? mask : 0)) {} return micros(); }
+        void setup() {
+            analogWrite(9, 64); analogWrite(6, 64);
+            wait_b(2, 0); unsigned long a = wait_b(2, 1), b = wait_b(2, 0), c = wait_b(2, 1);
+            Serial.print(b - a); Serial.print(' '); Serial.println(c - a);
+            wait_d(64, 0); a = wait_d(64, 1), b = wait_d(64, 0), c = wait_d(64, 1);
+            Serial.print(b - a); Serial.print(' '); Serial.println(c - a);
+        }""")
+    measured = [int(word) for _, line in host.log for word in line.split()]
+    assert measured == pytest.approx([512, 2040, 260, 1024], abs=2)
+
+
+TIMED_STEPS = """
+    volatile uint8_t *dir = portInputRegister(digitalPinToPort(5));   // a write of a bit toggles the pin
+    volatile int left = 100, moves = 0;
+    ISR(TIMER1_COMPA_vect)
+    {
+        TCCR1A = (TCCR1A | _BV(COM1A1)) & ~_BV(COM1A0);               // low, now
+        TCCR1C = _BV(FOC1A);
+        if (--left == 0 && ++moves < 2) { *dir = digitalPinToBitMask(5); left = 40; }
+        if (left > 0) TCCR1A |= _BV(COM1A0);                          // high, at the next match
+        OCR1A += 4000;
+    }
+    ISR(TIMER1_OVF_vect) { sei(); delayMicroseconds(1000); cli(); }   // steps go on meanwhile
+    void setup()
+    {
+        for (int pin : {5, 9}) pinMode(pin, OUTPUT);
+        TCCR1A = _BV(COM1A1) | _BV(COM1A0); TCCR1B = _BV(CS10);
+        noInterrupts();
+        OCR1A = TCNT1 + 10; TIFR1 = _BV(OCF1A); TIMSK1 |= _BV(TOIE1) | _BV(OCIE1A);
+        interrupts();
+        delay(100);
+        Serial.println(moves); pulsestage::end(0);
+    }
+    void loop() {}"""
+
+
+def test_the_compare_output_of_a_timer_makes_steps_and_a_pointer_to_inputs_toggles_the_direction(run):
+    host = run(TIMED_STEPS, "x.step=9,x.dir=5")
+    chip = host.board.stage.axes["x"].chip
+    assert (host.log[-1][1], chip.net(), chip.diagnostics) == ("2", 100 - 40, [])
+
+
+def test_routines_of_timers_are_called_in_the_order_of_their_vectors(run):
+    host = run("""
+        char order[8]; int n = 0;
+        ISR(TIMER0_COMPB_vect) { order[n++] = '0'; }
+        ISR(TIMER1_COMPA_vect) { order[n++] = 'a'; }
+        ISR(TIMER1_COMPB_vect) { order[n++] = 'b'; TIMSK1 = 0; }
+        ISR(TIMER1_OVF_vect) { order[n++] = 'o'; }
+        ISR(TIMER2_COMPA_vect) { order[n++] = '2'; TIMSK2 = 0; }
+        void setup() {
+            noInterrupts();
+            TCCR1A = 0; TCCR1B = _BV(CS10); OCR1A = 100; OCR1B = 50; OCR2A = 9; OCR0B = 7;
+            TIMSK1 = _BV(OCIE1A) | _BV(OCIE1B); TIMSK2 = _BV(OCIE2A); TIMSK0 = _BV(OCIE0B);
+            TIFR1 = 0x27; TIFR2 = 7; TIFR0 = 7; TCNT1 = 0;
+            delay(3);
+            interrupts(); TIMSK0 = 0;
+            Serial.println(order);
+        }""")
+    assert host.log[-1][1] == "2ab0"
+
+
+def test_a_pin_change_interrupt_comes_with_the_switch(run):
+    host = run("""
+        volatile int changes = 0; volatile unsigned long when;
+        ISR(PCINT0_vect) { changes++; when = micros(); }
+        void setup() {
+            pinMode(2, OUTPUT); pinMode(9, INPUT_PULLUP);
+            PCICR |= _BV(PCIE0); PCMSK0 |= _BV(PCINT1);
+            while (!changes) step(2, 1);
+            PCMSK0 = 0;
+            step(2, 20);
+            Serial.print(changes); Serial.print(' '); Serial.println(digitalRead(9));
+        }""", "x.step=2,x.dir=none,x.limit=!9", x=0.1495)  # fmt: skip
+    assert host.log[-1][1] == "1 0"
+
+
+def test_each_serial_port_of_a_sketch_has_another_line(run):
+    host = run("""
+        #include <SoftwareSerial.h>
+        SoftwareSerial first(10, 11), second(12, 13);
+        void setup() { Serial.begin(9600); Serial1.begin(9600); first.begin(19200); second.begin(9600); }
+        void loop() {
+            if (Serial1.available()) { int c = Serial1.read(); Serial1.write(c + 1); Serial.println("one"); }
+            if (first.available()) first.write(first.read() + 2);
+            if (second.available()) second.write(second.read() + 3);
+        }""", seconds=0.0)  # fmt: skip
+    one, four, five = (host.get_serial_port(number) for number in (1, 4, 5))
+    one.write("a"), four.write("a"), five.write("a")
+    assert one.read_until("b", timeout=0.1) == "b"
+    host.run_for(0.1)
+    assert (four.read(), five.read(), host.serial.read(), host.log[-1][1]) == (b"c", b"d", b"one\r\n", "one")
+    with pytest.raises(ArgumentError, match="this firmware has the serial lines 0 to 7"):
+        host.get_serial_port(8)

@@ -48,12 +48,14 @@ LINES_SHIFT = 32
 WITH_CYCLE = 1 << LINES_SHIFT
 """Added to the number of the chip in SET_LINES and READ_LINES: one bus cycle passes first."""
 SEND_SERIAL, READ_SERIAL, SET_SERIAL_RATE = 23, 24, 25
-"""The serial line: send a byte (a); take a byte, look at it or count the bytes that have arrived (a: TAKE, PEEK or COUNT), which
-takes a bus cycle if there is none; set the rate (a: bits per second, 0: bytes take no time)."""
+"""A serial line (b: its number): send a byte (a); take a byte, look at it or count the bytes that have arrived (a: TAKE, PEEK or
+COUNT), which takes a bus cycle if there is none; set the rate (a: bits per second, 0: bytes take no time)."""
 TAKE, PEEK, COUNT = range(3)
 WATCH_LINES = 26
 """Have the line of a chip (a) be asserted from now on while input pins of a mask (b) have other levels than now; answered with all
 levels. A host acknowledges a change by the same request."""
+NANOSECONDS = 27
+"""The time (ns), without a bus cycle: for models of a microcontroller's timers in the firmware's own code."""
 WRONG_LEVEL = 64
 """Added to a refused request whose level is out of range."""
 (

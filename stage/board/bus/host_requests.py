@@ -330,6 +330,8 @@ def _control_time(host, code, a, b):
     elif code == host_record.MICROS:
         _let_poll_cycle_pass(host)
         return host_record.get_now(host) // 1000
+    elif code == host_record.NANOSECONDS:
+        return host_record.get_now(host)
     elif code == host_record.LINE:
         _let_poll_cycle_pass(host)
         return 1 if host_time.find_interrupt_mask(host) else 0
@@ -376,9 +378,19 @@ def _access_lines(host, code, where, argument):
 
 
 @hot
-def _access_serial(host, code, a):
-    """Send a byte over the serial line, read from it, or set its rate."""
-    line, now = array_at(host.serial, 1, serial_core.LINE)[0], host_record.get_now(host)
+def _access_serial(host, code, a, number):
+    """Send a byte over a serial line, read from it, or set its rate.
+
+    Args:
+        host: The HOST record.
+        code: SEND_SERIAL, READ_SERIAL or SET_SERIAL_RATE.
+        a: The byte, how to read, or the rate.
+        number: Number of the serial line.
+    """
+    if not 0 <= number < serial_core.LINES:
+        _report_refusal(host, code, number, 0)
+        return -1
+    line, now = array_at(host.serial, serial_core.LINES, serial_core.LINE)[number], host_record.get_now(host)
     if code == host_record.SET_SERIAL_RATE:
         serial_core.set_rate(line, now, a)
         return 0
@@ -434,7 +446,7 @@ def execute(host, code, a, b):
         return host.call_value
     if host_record.SET_LINES <= code <= host_record.WATCH_LINES:
         is_serial = host_record.SEND_SERIAL <= code <= host_record.SET_SERIAL_RATE
-        return _access_serial(host, code, a) if is_serial else _access_lines(host, code, a, b)
+        return _access_serial(host, code, a, b) if is_serial else _access_lines(host, code, a, b)
     if code == host_record.LOG:
         host_time.advance_stage_to_host(host)
         host.call_value = a

@@ -10,6 +10,8 @@ from stage.native import hot, least, record
 
 ROOM = 4096
 """Bytes that can be on their way in each direction."""
+LINES = 8
+"""Serial lines of a host."""
 NO_BYTE, ANY_BYTE = -1, -2
 SECOND = 1_000_000_000
 BITS_PER_BYTE = 10

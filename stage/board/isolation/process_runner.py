@@ -242,7 +242,7 @@ class ProcessRunner:
         ours, theirs = Pipe()
         try:
             self._shared = SharedMemory(shared, board, create=True)
-            self._shared.serial[:] = board.serial.rows
+            self._shared.serial[:] = board.serial_lines.rows
             board.link.use_serial_rows(self._shared.serial)
             with theirs:
                 self._child = process_starter.start(theirs.fileno(), " ".join(list_sanitizers(self._path)))

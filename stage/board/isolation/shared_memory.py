@@ -188,7 +188,7 @@ class SharedMemory:
         samples, positions: Buffers like those of a Recording.
         sources: Interrupt sources of the child.
         devices: State of the child's devices, as float64.
-        serial: LINE of the serial line, which both processes use.
+        serial: LINE records of the serial lines, which both processes use.
     """
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
@@ -199,7 +199,7 @@ class SharedMemory:
             (SAMPLE, (SAMPLE_ROWS, axes)), (np.float64, (SAMPLE_ROWS, nq)), (without_attributes(SOURCE), (SOURCES,)),
             (np.int64, (1,)),
             (np.uint8, (TEXT_SIZE,)), (np.uint8, (CRASH_SIZE,)), (np.float64, (board.stage.device_state.words,)),
-            (serial_core.LINE, (1,)),
+            (serial_core.LINE, (serial_core.LINES,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNMENT) * _ALIGNMENT + _GUARD_SIZE for n in lengths)]).tolist()

@@ -61,15 +61,18 @@ class Platform:
     libraries: tuple[ArduinoLibrary, ...] = ()
 
 
+_AVR_FLAGS = ("-D__AVR_ATmega328P__", "-D__flash=")
+"""Definitions of avr-gcc: the processor, and no other memory for constants."""
 PLATFORMS: dict[str, Platform] = {
     p.name: p
     for p in (
         Platform("arduino", "an Arduino sketch: setup and loop, pins, Serial", ("setup", "loop"), "arduino/entry.cpp",
                  ("arduino", "avr"), has_cplusplus_headers=True, flags=(
                      "-DPULSESTAGE_ARDUINO", "-DARDUINO=10819", "-DF_CPU=16000000L", "-DARDUINO_ARCH_AVR", "-DARDUINO_AVR_UNO",
+                     *_AVR_FLAGS,
                  )),
         Platform("avr", "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h", ("main",), "avr/entry.cpp", ("avr",),
-                 has_cplusplus_headers=True),
+                 has_cplusplus_headers=True, flags=_AVR_FLAGS),
         Platform("vxworks", "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib", ("usrAppInit",), "vxworks/entry.c",
                  ("vxworks",)),
         Platform("dos", "a DOS program of Borland, Microsoft or Watcom C: dos.h, conio.h", ("main",), "dos/entry.c", ("dos",),
@@ -191,11 +194,16 @@ def make_recipe(
 
 
 def _replace_definitions(flags: Sequence[str], user_flags: Sequence[str]) -> list[str]:
-    """Leave out the definitions of a platform that the user's flags make, and its board if they name another."""
-    names = {flag[2:].partition("=")[0] for flag in user_flags if flag[:2] in ("-D", "-U")}
+    """Leave out the definitions of a platform that the user's flags make, and its board and processor if they name others."""
+    names, added = {flag[2:].partition("=")[0] for flag in user_flags if flag[:2] in ("-D", "-U")}, []
     if any(name.startswith("ARDUINO_AVR_") for name in names):
         names.add("ARDUINO_AVR_UNO")
-    return [flag for flag in flags if not (flag.startswith("-D") and flag[2:].partition("=")[0] in names)]
+    if any(name.startswith("__AVR_AT") for name in names):
+        names.add("__AVR_ATmega328P__")
+    elif "ARDUINO_AVR_MEGA2560" in names:
+        names.add("__AVR_ATmega328P__")
+        added = ["-D__AVR_ATmega2560__"]
+    return [flag for flag in flags if not (flag.startswith("-D") and flag[2:].partition("=")[0] in names)] + added
 
 
 def _split_languages(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:

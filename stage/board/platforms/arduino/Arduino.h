@@ -80,63 +80,12 @@ static inline long map(long x, long from_low, long from_high, long to_low, long 
     return (x - from_low) * (to_high - to_low) / (from_high - from_low) + to_low;
 }
 
-/* Pointers to the registers of a port. A write through them reaches the pins, and what they read is renewed, at the next call that is
- * about pins or time; a pulse that begins and ends between two such calls is not seen. */
-namespace pulsestage
-{
-struct PortPointers {
-    bool any, ports[PORTS], inputs[PORTS];
-    uint8_t port[PORTS], ddr[PORTS], levels[PORTS]; /* as they were last; what the pins read */
-};
-inline __attribute__((visibility("hidden"))) PortPointers &port_pointers()
-{
-    static PortPointers all;
-    return all;
-}
-inline void follow(uint8_t &which, uint8_t &last, int at)
-{
-    const uint8_t value = which;
-    if (value == last)
-        return;
-    which = last;
-    last = value;
-    change(which, at, value);
-}
-inline void follow_pointers()
-{
-    PortPointers &all = port_pointers();
-    for (int at = 0; all.any && at < PORTS; at++) {
-        if (all.ports[at]) {
-            follow(pins().ddr[at], all.ddr[at], at);
-            follow(pins().port[at], all.port[at], at);
-        }
-        if (all.inputs[at])
-            all.levels[at] = look(at);
-    }
-}
-inline volatile uint8_t *point_at_port(int port, uint8_t (&registers)[PORTS])
-{
-    PortPointers &all = port_pointers();
-    const int at = (port - 1) & (PORTS - 1);
-    follow_pointers();
-    all.any = all.ports[at] = true;
-    all.port[at] = pins().port[at], all.ddr[at] = pins().ddr[at];
-    return &registers[at];
-}
-inline volatile uint8_t *point_at_inputs(int port)
-{
-    PortPointers &all = port_pointers();
-    const int at = (port - 1) & (PORTS - 1);
-    all.any = all.inputs[at] = true;
-    all.levels[at] = look(at);
-    return &all.levels[at];
-}
-} // namespace pulsestage
 #define digitalPinToPort(pin) uint8_t((pulsestage::core_pin(pin) >> 3) + 1)
 #define digitalPinToBitMask(pin) uint8_t(1 << (pulsestage::core_pin(pin) & 7))
-#define portOutputRegister(of) pulsestage::point_at_port(of, pulsestage::pins().port)
-#define portModeRegister(of) pulsestage::point_at_port(of, pulsestage::pins().ddr)
-#define portInputRegister(of) pulsestage::point_at_inputs(of)
+#define portOutputRegister(of) pulsestage::point_at_port((of) - 1)
+#define portModeRegister(of) pulsestage::point_at_direction((of) - 1)
+#define portInputRegister(of) pulsestage::point_at_inputs((of) - 1)
+#define digitalPinHasPWM(pin) (pulsestage::find_output(pulsestage::core_pin(pin)) >= 0)
 
 /* pins */
 static inline void pinMode(int pin, int mode)
@@ -154,6 +103,7 @@ static inline void digitalWrite(int pin, int level)
 {
     pulsestage::follow_pointers();
     const int at = pulsestage::core_pin(pin);
+    pulsestage::disconnect_output(at);
     const uint8_t bit = uint8_t(1 << (at & 7)), was = pulsestage::pins().port[at >> 3];
     pulsestage::change(pulsestage::pins().port[at >> 3], at >> 3, uint8_t(level ? was | bit : was & ~bit));
 }
@@ -161,6 +111,7 @@ static inline int digitalRead(int pin)
 {
     pulsestage::follow_pointers();
     const int at = pulsestage::core_pin(pin);
+    pulsestage::disconnect_output(at);
     return pulsestage::look(at >> 3, uint8_t(1 << (at & 7))) ? HIGH : LOW;
 }
 static inline uint8_t shiftIn(int data, int clock, int order)
@@ -257,19 +208,19 @@ static inline int analogRead(int pin)
     ps_micros();
     return 0;
 }
-/* The least and the greatest value are levels, as on the board. Others make no pulses: at a line of an axis, this fails the run. */
+/* PWM at the pins that are outputs of a timer, as the Arduino core makes it: 490 Hz, or 977 Hz at those of timer 0. The least and the
+ * greatest value are levels. Other pins have no PWM, and values from 128 on are high: at a line of an axis, this fails the run. */
 static inline void analogWrite(int pin, int value)
 {
-    static bool said;
-    const int at = pulsestage::core_pin(pin);
-    if (value == 0 || value == 255) {
-        pinMode(pin, OUTPUT);
-        digitalWrite(pin, value != 0);
-    } else if (!(pulsestage::pins().lines[at >> 3] >> (at & 7) & 1))
-        pulsestage::missing(said, "analogWrite: nothing is at the PWM outputs");
-    else if (!pulsestage_pin_use.refusal[0])
+    const int at = pulsestage::core_pin(pin), output = pulsestage::find_output(at);
+    pinMode(pin, OUTPUT);
+    if (value == 0 || value == 255 || output < 0)
+        digitalWrite(pin, value > 127);
+    else
+        pulsestage::connect_output(output, uint16_t(value));
+    if (output < 0 && value % 255 && pulsestage::pins().lines[at >> 3] >> (at & 7) & 1 && !pulsestage_pin_use.refusal[0])
         snprintf(pulsestage_pin_use.refusal, sizeof pulsestage_pin_use.refusal,
-                 "analogWrite of pin %d made no pulses: there are no PWM outputs; use tone, or digitalWrite", pin);
+                 "analogWrite of pin %d made no pulses: no timer has its output there", pin);
 }
 static inline void analogReference(int) {}
 

@@ -1,39 +1,21 @@
-/* EEPROM.h on an emulated board: the memory of an ATmega328P, or of an ATmega2560. It is erased (FFh) when a run begins. A byte that is
- * written takes 3.3 ms. */
+/* EEPROM.h on an emulated board: the memory of avr/eeprom.h, in which a byte that is written takes 3.3 ms. */
 #ifndef PULSESTAGE_EEPROM_H
 #define PULSESTAGE_EEPROM_H
 
 extern "C++" { /* also where a program in C is included */
 
 #include <Arduino.h>
-
-#if defined(ARDUINO_AVR_MEGA2560)
-#define E2END 0xFFF
-#else
-#define E2END 0x3FF
-#endif
-
-namespace pulsestage
-{
-struct Eeprom {
-    uint8_t bytes[E2END + 1];
-    Eeprom() { memset(bytes, 0xFF, sizeof bytes); }
-};
-inline __attribute__((visibility("hidden"))) Eeprom &eeprom()
-{
-    static Eeprom one;
-    return one;
-}
-} // namespace pulsestage
+#include <avr/eeprom.h>
 
 /* A byte of the memory, which a program assigns to. */
 struct EERef {
     explicit EERef(int index) : index(index) {}
-    operator uint8_t() const { return pulsestage::eeprom().bytes[index & E2END]; }
+    operator uint8_t() const { return pulsestage::eeprom()[index]; }
     EERef &operator=(uint8_t value)
     {
-        pulsestage::eeprom().bytes[index & E2END] = value;
-        delayMicroseconds(3300);
+        pulsestage::follow_pointers();
+        pulsestage::eeprom().write(index, value);
+        pulsestage::eeprom().wait();
         return *this;
     }
     EERef &operator=(const EERef &other) { return *this = uint8_t(other); }

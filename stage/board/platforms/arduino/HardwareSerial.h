@@ -1,6 +1,6 @@
 /* HardwareSerial.h on an emulated board: Serial prints to the log of the run, line by line, and to the serial line of the board
  * (docs/serial.md). It reads what -DPULSESTAGE_SERIAL_INPUT='"..."' or Serial.feed says, and then what comes over that line, at the rate
- * of Serial.begin. To print takes no time; a look for a byte that is not there takes a bus cycle. */
+ * of Serial.begin. Serial1 to Serial3 have lines of their own, and do not print to the log. To print takes no time; a look for a byte that is not there takes a bus cycle. */
 #ifndef PULSESTAGE_HARDWARESERIAL_H
 #define PULSESTAGE_HARDWARESERIAL_H
 
@@ -144,27 +144,37 @@ class Stream : public Print
 class HardwareSerial : public Stream
 {
   public:
-    void begin(unsigned long bits_per_second, int = 0) { ps_serial_rate(uint32_t(bits_per_second)); }
+    explicit HardwareSerial(int line = 0) : line_(line) {} /* the number of the board's serial line */
+    void begin(unsigned long bits_per_second, int = 0) { ps_serial_line_rate(line_, uint32_t(bits_per_second)); }
     void end() {}
     operator bool() const { return true; }
     using Print::write;
-    size_t write(uint8_t c) override { return pulsestage::serial_line().send(char(c)), 1; }
+    size_t write(uint8_t c) override { return port().send(char(c)), 1; }
     int available() override
     {
-        const int n = pulsestage::serial_line().available();
+        const int n = port().available();
         return n < 63 ? n : 63;
     }
     int availableForWrite() override { return 63; }
-    int read() override { return pulsestage::serial_line().take(); }
-    int peek() override { return pulsestage::serial_line().peek(); }
+    int read() override { return port().take(); }
+    int peek() override { return port().peek(); }
     /* What is received from now on; the text stays the caller's. */
-    void feed(const char *text) { pulsestage::serial_line().input = text; }
+    void feed(const char *text) { port().input = text; }
+
+  private:
+    pulsestage::SerialLine &port() const { return pulsestage::serial_line(line_); }
+    int line_;
 };
 
 #define SERIAL_8N1 0x06
-/* All ports are the board's one serial line. */
-static HardwareSerial Serial __attribute__((unused)), Serial1 __attribute__((unused)), Serial2 __attribute__((unused)),
-    Serial3 __attribute__((unused));
+static HardwareSerial Serial __attribute__((unused)), Serial1 __attribute__((unused))(1), Serial2 __attribute__((unused))(2),
+    Serial3 __attribute__((unused))(3);
+#define HAVE_HWSERIAL0
+#if defined(__AVR_ATmega2560__)
+#define HAVE_HWSERIAL1
+#define HAVE_HWSERIAL2
+#define HAVE_HWSERIAL3
+#endif
 
 } /* extern "C++" */
 #endif

@@ -1,5 +1,5 @@
-/* SoftwareSerial.h on an emulated board: a port on any two pins. Its bytes are those of the board's one serial line, as Serial's are
- * (docs/serial.md); the levels of its pins do not change. */
+/* SoftwareSerial.h on an emulated board: a port on any two pins. The first object of a sketch has the board's serial line 4, the next
+ * line 5, and so on up to 7 (docs/serial.md); the levels of its pins do not change. Several ports receive at one time. */
 #ifndef PULSESTAGE_SOFTWARESERIAL_H
 #define PULSESTAGE_SOFTWARESERIAL_H
 
@@ -10,7 +10,7 @@ extern "C++" { /* also where a program in C is included */
 class SoftwareSerial : public HardwareSerial
 {
   public:
-    SoftwareSerial(uint8_t receive_pin, uint8_t transmit_pin, bool inverted = false)
+    SoftwareSerial(uint8_t receive_pin, uint8_t transmit_pin, bool inverted = false) : HardwareSerial(next_line())
     {
         (void)receive_pin, (void)transmit_pin, (void)inverted;
     }
@@ -18,6 +18,13 @@ class SoftwareSerial : public HardwareSerial
     bool isListening() { return true; }
     bool stopListening() { return true; }
     bool overflow() { return false; }
+
+  private:
+    static int next_line()
+    {
+        static int line = 3;
+        return line += line < pulsestage::SERIAL_LINES - 1; /* more objects share the last line */
+    }
 };
 
 } /* extern "C++" */

@@ -23,6 +23,7 @@ PULSESTAGE_MAIN
 {
     if (!setjmp(pulsestage_out)) {
         pulsestage::said_if_unwired();
+        pulsestage::begin_pwm();
         sei();
         setup();
         for (;;) {

@@ -20,6 +20,7 @@ struct InterruptLine {
     bool enabled;          /* the processor takes interrupts */
     bool edge, used;       /* by edge; and the line has been asserted since its last release */
     bool hooked, inside;
+    void (*after)(void);   /* called when a routine has returned; 0: nothing */
 
     void attach(void (*new_routine)(void), bool by_edge)
     {
@@ -59,6 +60,8 @@ struct InterruptLine {
         line.enabled = was;
         line.inside = false;
         line.update();
+        if (line.after)
+            line.after();
     }
 };
 

@@ -48,6 +48,11 @@ struct Pins {
     uint8_t strobes[PORTS], special[PORTS]; /* pins whose change makes cycles; pins of the interrupt line */
     uint8_t lines[PORTS], switches[PORTS];  /* of strobes, those that drive lines of axes; pins that read switches of axes */
     uint8_t buses[PORTS];                   /* pins of buses of chips */
+    uint8_t timed[PORTS], timed_levels[PORTS]; /* pins whose level a timer makes while they are outputs, and that level */
+    void (*renew)();                        /* brings timed_levels up to now */
+    bool pointed, pointed_inputs[PORTS];    /* whether the program has pointers to registers, and to those of inputs */
+    uint8_t port_memory[PORTS], ddr_memory[PORTS], input_memory[PORTS], inputs_before[PORTS]; /* where they point, and the last
+                                                                                             renewed levels */
     PinBus *first;
 };
 
@@ -57,12 +62,19 @@ inline __attribute__((visibility("hidden"))) Pins &pins()
     return all;
 }
 
+/* The levels of pins that are outputs. */
+inline uint8_t outputs_of(int at)
+{
+    const Pins &p = pins();
+    return uint8_t((p.port[at] & ~p.timed[at]) | (p.timed_levels[at] & p.timed[at]));
+}
+
 inline bool level_of(int pin)
 {
     const Pins &p = pins();
     int at = pin >> 3, bit = pin & 7;
     if (p.ddr[at] >> bit & 1)
-        return p.port[at] >> bit & 1;
+        return outputs_of(at) >> bit & 1;
     return p.driven[at] >> bit & 1 ? p.level[at] >> bit & 1 : true;
 }
 
@@ -259,7 +271,7 @@ class PinBus
     {
         const pulsestage::Pins &p = pulsestage::pins();
         if (whole_ && p.ddr[data_[0] >> 3] == 0xFF)
-            return p.port[data_[0] >> 3];
+            return pulsestage::outputs_of(data_[0] >> 3);
         unsigned value = 0;
         for (int k = 0; k < n_data_; k++)
             value |= unsigned(pulsestage::level_of(data_[k])) << k;
@@ -317,7 +329,8 @@ inline void count_rises(const uint8_t &which, int at, uint8_t value)
 {
     const Pins &p = pins();
     const bool is_port = &which == &p.port[at];
-    const uint8_t set = uint8_t(value & ~which & ~p.buses[at]), driven = uint8_t(set & (is_port ? p.ddr : p.port)[at]);
+    const uint8_t set = uint8_t(value & ~which & ~p.buses[at] & ~(is_port ? p.timed[at] : 0));
+    const uint8_t driven = uint8_t(set & (is_port ? p.ddr[at] : outputs_of(at)));
     for (int bit = 0; set >> bit; bit++) {
         pulsestage_pin_use.rises[at * 8 + bit] += driven >> bit & 1;
         pulsestage_pin_use.pull_ups[at * 8 + bit] += is_port & uint8_t(set & ~driven) >> bit & 1;
@@ -330,6 +343,7 @@ inline void count_rises(const uint8_t &which, int at, uint8_t value)
 inline void change(uint8_t &which, int at, uint8_t value)
 {
     Pins &p = pins();
+    (&which == &p.port[at] ? p.port_memory : p.ddr_memory)[at] = value;
     if (pulsestage_pins.lines)
         count_rises(which, at, value);
     if (!((which ^ value) & p.strobes[at])) {
@@ -343,7 +357,20 @@ inline void change(uint8_t &which, int at, uint8_t value)
     for (PinBus *bus = p.first; bus; bus = bus->next())
         bus->after();
     if (driven)
-        ps_drive_pins(at * 8, driven, p.port[at], p.ddr[at]);
+        ps_drive_pins(at * 8, driven, outputs_of(at), p.ddr[at]);
+}
+
+/* A timer makes the levels of these pins of a port from now on, without a bus cycle. */
+inline void change_timed(int at, uint8_t timed, uint8_t levels)
+{
+    Pins &p = pins();
+    const uint8_t before = outputs_of(at);
+    p.timed[at] = timed, p.timed_levels[at] = levels;
+    const uint8_t changed = uint8_t((before ^ outputs_of(at)) & p.ddr[at]), rising = uint8_t(changed & outputs_of(at));
+    for (int bit = 0; pulsestage_pins.lines && rising >> bit; bit++)
+        pulsestage_pin_use.rises[at * 8 + bit] += rising >> bit & 1;
+    if (changed & p.lines[at])
+        ps_drive_pins_(at * 8, changed & p.lines[at], outputs_of(at), p.ddr[at], 0);
 }
 
 /* At the beginning of a program: find the ports of the pins of --pins, and drive the levels that constructors have set. */
@@ -367,7 +394,7 @@ inline void connect_lines()
     }
     for (int at = 0; at < PORTS; at++)
         if (p.lines[at] & p.ddr[at])
-            ps_drive_pins(at * 8, p.lines[at], p.port[at], p.ddr[at]);
+            ps_drive_pins(at * 8, p.lines[at], outputs_of(at), p.ddr[at]);
 }
 
 /* At the beginning of a program: nothing it does to its pins would reach a chip. */
@@ -382,20 +409,62 @@ inline void said_if_unwired()
 }
 
 /* What the program reads of a port, these bits of it. A pin that no bus drives costs a look at the clock, so that a loop which waits
- * for it goes on. */
-inline uint8_t look(int at, uint8_t mask = 0xFF)
+ * for it goes on; `cycle` = 0: at once, without a bus cycle. */
+inline uint8_t look(int at, uint8_t mask = 0xFF, int64_t cycle = PS_WITH_CYCLE)
 {
     const Pins &p = pins();
-    uint8_t value = uint8_t((p.port[at] & p.ddr[at]) | (~p.ddr[at] & (p.level[at] | ~p.driven[at])));
+    if (p.renew && p.timed[at] & mask)
+        p.renew();
+    uint8_t value = uint8_t((outputs_of(at) & p.ddr[at]) | (~p.ddr[at] & (p.level[at] | ~p.driven[at])));
     const uint8_t switches = uint8_t(p.switches[at] & mask & ~p.ddr[at]);
     if (switches)
-        value = uint8_t((value & ~switches) | ps_read_pins(at * 8, switches, PS_WITH_CYCLE));
+        value = uint8_t((value & ~switches) | ps_read_pins(at * 8, switches, cycle));
+    else if (!cycle)
+        return value & mask;
     else if (p.special[at] & mask) {
         const bool asserted = ps_interrupt_line() != 0;
         value = uint8_t(asserted ? value & ~p.special[at] : value | p.special[at]);
     } else if (!(p.driven[at] & mask))
         ps_micros();
     return value & mask;
+}
+
+/* Pointers to the registers of a port. A write through them reaches the pins, and what they read is renewed, at the next call that is
+ * about pins, timers or time; a pulse that begins and ends between two such calls is not seen, nor is a write to PINx of what it reads. */
+inline void follow_pointers()
+{
+    Pins &p = pins();
+    for (int at = 0; p.pointed && at < PORTS; at++) {
+        if (p.ddr_memory[at] != p.ddr[at])
+            change(p.ddr[at], at, p.ddr_memory[at]);
+        if (p.port_memory[at] != p.port[at])
+            change(p.port[at], at, p.port_memory[at]);
+        if (!p.pointed_inputs[at])
+            continue;
+        const uint8_t toggled = p.input_memory[at];
+        if (toggled != p.inputs_before[at]) {
+            p.inputs_before[at] = toggled;
+            change(p.port[at], at, uint8_t(p.port[at] ^ toggled));
+        }
+        p.input_memory[at] = p.inputs_before[at] = look(at, 0xFF, 0);
+    }
+}
+inline volatile uint8_t *point_at_port(int at)
+{
+    pins().pointed = true;
+    return &pins().port_memory[at];
+}
+inline volatile uint8_t *point_at_direction(int at)
+{
+    pins().pointed = true;
+    return &pins().ddr_memory[at];
+}
+inline volatile uint8_t *point_at_inputs(int at)
+{
+    Pins &p = pins();
+    p.pointed = p.pointed_inputs[at] = true;
+    p.input_memory[at] = p.inputs_before[at] = look(at, 0xFF, 0);
+    return &p.input_memory[at];
 }
 } // namespace pulsestage
 

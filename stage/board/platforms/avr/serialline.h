@@ -1,6 +1,6 @@
-/* The serial port of an AVR: what is sent goes to the log of the run, line by line, and to the serial line of the board
- * (docs/serial.md). What is received is a string, -DPULSESTAGE_SERIAL_INPUT='"G1 X10\n"', and then what comes over that line. To send
- * takes no time. Included by avr/io.h and Arduino.h. */
+/* The serial ports of an AVR, each with a serial line of the board (docs/serial.md). What is sent over the first goes to the log of the
+ * run as well, line by line, and what is received there is a string, -DPULSESTAGE_SERIAL_INPUT='"G1 X10\n"', and then what comes over
+ * the line. To send takes no time. Included by avr/io.h and Arduino.h. */
 #ifndef PULSESTAGE_AVR_SERIAL_H
 #define PULSESTAGE_AVR_SERIAL_H
 
@@ -25,11 +25,12 @@ struct SerialLine {
     char line[MOST + 1];
     int used;
     const char *input; /* what is left of it; 0: nothing has been read yet */
+    int number;        /* of the board's serial line */
 
     void send(char c)
     {
-        ps_serial_write(uint8_t(c));
-        if (c == '\r')
+        ps_serial_line_write(number, uint8_t(c));
+        if (c == '\r' || number)
             return;
         if (c != '\n')
             line[used++] = c;
@@ -45,22 +46,24 @@ struct SerialLine {
     const char *left()
     {
         if (!input)
-            input = PULSESTAGE_SERIAL_INPUT;
+            input = number ? "" : PULSESTAGE_SERIAL_INPUT;
         return input;
     }
-    int take() { return *left() ? uint8_t(*input++) : ps_serial_read(); }
-    int peek() { return *left() ? uint8_t(*input) : ps_serial_peek(); }
+    int take() { return *left() ? uint8_t(*input++) : ps_serial_line_read(number); }
+    int peek() { return *left() ? uint8_t(*input) : ps_serial_line_peek(number); }
     int available() /* a loop that waits for a byte lets time pass */
     {
         const size_t n = strlen(left());
-        return n ? int(n) : ps_serial_available();
+        return n ? int(n) : ps_serial_line_available(number);
     }
 };
 
-inline __attribute__((visibility("hidden"))) SerialLine &serial_line()
+enum { SERIAL_LINES = 8 };
+inline __attribute__((visibility("hidden"))) SerialLine &serial_line(int number = 0)
 {
-    static SerialLine one;
-    return one;
+    static SerialLine all[SERIAL_LINES];
+    all[number].number = number;
+    return all[number];
 }
 
 /* At the end of the run: a line that has begun is noted, too. */

@@ -1,7 +1,8 @@
 /* avr/io.h on an emulated board: the ports of an AVR as pins (pinbus.h), interrupt enables, timers (timer_.h) and the serial port.
  * C++11, so that a register is an object whose assignment is seen: sources in C that include it are compiled as C++.
  *
- * Converters, EEPROM are not here: a name that does not compile is not emulated. */
+ * Converters are not here: a register that does not compile is not emulated. Those that only configure the chip (PRR, SMCR, ...) hold
+ * what was written. */
 #ifndef PULSESTAGE_AVR_IO_H
 #define PULSESTAGE_AVR_IO_H
 
@@ -14,6 +15,8 @@ extern "C++" { /* also where a program in C is included */
 #include <interruptline.h>
 #include <pinbus.h>
 #include <stdint.h>
+#include <string.h>
+#include <avr/bits_.h>
 
 #define _BV(bit) (1 << (bit))
 #define bit_is_set(sfr, bit) ((sfr) & _BV(bit))
@@ -43,26 +46,32 @@ template <typename Kind> struct Register {
     const Register &operator>>=(int n) const { return *this = uint8_t(Kind::read() >> n); }
     const Register &operator++() const { return *this += 1; }
     const Register &operator--() const { return *this -= 1; }
+    volatile uint8_t *operator&() const { return Kind::pointer(); } /* of a port; see follow_pointers */
     uint8_t operator++(int) const { uint8_t was = *this; *this = uint8_t(was + 1); return was; }
     uint8_t operator--(int) const { uint8_t was = *this; *this = uint8_t(was - 1); return was; }
 };
 
 template <int at> struct PortOf {
-    static uint8_t read() { return pins().port[at]; }
-    static void write(uint8_t v) { change(pins().port[at], at, v); }
+    static uint8_t read() { return follow_pointers(), pins().port[at]; }
+    static void write(uint8_t v) { follow_pointers(), change(pins().port[at], at, v); }
+    static volatile uint8_t *pointer() { return point_at_port(at); }
 };
 template <int at> struct DdrOf {
-    static uint8_t read() { return pins().ddr[at]; }
-    static void write(uint8_t v) { change(pins().ddr[at], at, v); }
+    static uint8_t read() { return follow_pointers(), pins().ddr[at]; }
+    static void write(uint8_t v) { follow_pointers(), change(pins().ddr[at], at, v); }
+    static volatile uint8_t *pointer() { return point_at_direction(at); }
 };
 template <int at> struct PinOf {
-    static uint8_t read() { return look(at); }
-    static void write(uint8_t v) { change(pins().port[at], at, uint8_t(pins().port[at] ^ v)); } /* toggles */
+    static uint8_t read() { return follow_pointers(), look(at); }
+    static void write(uint8_t v) { follow_pointers(), change(pins().port[at], at, uint8_t(pins().port[at] ^ v)); } /* toggles */
+    static volatile uint8_t *pointer() { return point_at_inputs(at); }
 };
 
 struct Core {
-    uint8_t sreg, eimsk, eicra, eicrb, mcucr;
-    bool vector; /* the line's routine is one of the vectors below */
+    uint8_t sreg, eimsk, eicra, eicrb;
+    uint8_t pcicr, pcifr, pcmsk[3];
+    int routines; /* of timers and pin changes, that have begun and have not returned */
+    bool vector;  /* the line's routine is one of the vectors below */
 };
 inline __attribute__((visibility("hidden"))) Core &core()
 {
@@ -70,7 +79,7 @@ inline __attribute__((visibility("hidden"))) Core &core()
     return one;
 }
 inline void enabled();
-inline void timers_enabled();
+inline void call_waiting();
 
 /* A routine of attachInterrupt at a pin that reads a switch of an axis. */
 struct PinInterrupt {
@@ -87,6 +96,7 @@ struct PinInterrupt {
         core().sreg = uint8_t(sreg & 0x7F);
         pin.routine();
         core().sreg = sreg;
+        call_waiting();
     }
 };
 inline __attribute__((visibility("hidden"))) PinInterrupt &pin_interrupt(int pin)
@@ -100,7 +110,6 @@ inline void call_waiting_pins()
         if (pin_interrupt(pin).waits)
             PinInterrupt::called(&pin_interrupt(pin));
 }
-inline void nothing_changed() {}
 
 #define PULSESTAGE_HELD(name, field, then)                                                                             \
     struct name {                                                                                                      \
@@ -111,7 +120,6 @@ PULSESTAGE_HELD(SregOf, sreg, enabled);
 PULSESTAGE_HELD(EimskOf, eimsk, enabled);
 PULSESTAGE_HELD(EicraOf, eicra, enabled);
 PULSESTAGE_HELD(EicrbOf, eicrb, enabled);
-PULSESTAGE_HELD(McucrOf, mcucr, nothing_changed);
 #undef PULSESTAGE_HELD
 } // namespace pulsestage
 
@@ -153,15 +161,21 @@ inline void enabled()
     else if (n == 8 && core().vector)
         line.attach(nullptr, false);
     core().vector = n < 8;
+    line.after = call_waiting;
     line.enable(core().sreg >> 7 & 1);
-    timers_enabled();
+    call_waiting();
 }
 } // namespace pulsestage
+
+#include <avr/pinchange_.h>
 
 #define PULSESTAGE_PORT(letter)                                                                                        \
     static const pulsestage::Register<pulsestage::PortOf<#letter[0] - 'A'>> PORT##letter __attribute__((unused)) = {}; \
     static const pulsestage::Register<pulsestage::DdrOf<#letter[0] - 'A'>> DDR##letter __attribute__((unused)) = {};   \
     static const pulsestage::Register<pulsestage::PinOf<#letter[0] - 'A'>> PIN##letter __attribute__((unused)) = {};   \
+    enum { PIN##letter##0, PIN##letter##1, PIN##letter##2, PIN##letter##3, PIN##letter##4, PIN##letter##5, PIN##letter##6, PIN##letter##7 }; \
+    enum { DD##letter##0, DD##letter##1, DD##letter##2, DD##letter##3, DD##letter##4, DD##letter##5, DD##letter##6, DD##letter##7 }; \
+    enum { PORT##letter##0, PORT##letter##1, PORT##letter##2, PORT##letter##3, PORT##letter##4, PORT##letter##5, PORT##letter##6, PORT##letter##7 }; \
     enum { P##letter##0, P##letter##1, P##letter##2, P##letter##3, P##letter##4, P##letter##5, P##letter##6, P##letter##7 }
 PULSESTAGE_PORT(A);
 PULSESTAGE_PORT(B);
@@ -180,14 +194,49 @@ static const pulsestage::Register<pulsestage::SregOf> SREG __attribute__((unused
 static const pulsestage::Register<pulsestage::EimskOf> EIMSK __attribute__((unused)) = {};
 static const pulsestage::Register<pulsestage::EicraOf> EICRA __attribute__((unused)) = {};
 static const pulsestage::Register<pulsestage::EicrbOf> EICRB __attribute__((unused)) = {};
-static const pulsestage::Register<pulsestage::McucrOf> MCUCR __attribute__((unused)) = {};
-enum { SREG_I = 7 };
-enum { INT0, INT1, INT2, INT3, INT4, INT5, INT6, INT7 };
-enum { ISC00, ISC01, ISC10, ISC11, ISC20, ISC21, ISC30, ISC31 };
-enum { ISC40, ISC41, ISC50, ISC51, ISC60, ISC61, ISC70, ISC71 };
+enum { SREG_C, SREG_Z, SREG_N, SREG_V, SREG_S, SREG_H, SREG_T, SREG_I };
+
+/* registers that hold what was written; MCUSR says after the start of a run that power has come on */
+namespace pulsestage
+{
+enum Configuration { MCUCR_, MCUSR_, SMCR_, PRR_, PRR0_, PRR1_, ACSR_, DIDR0_, DIDR1_, DIDR2_, GPIOR0_, GPIOR1_, GPIOR2_, OSCCAL_,
+                     CLKPR_, WDTCSR_, GTCCR_, ASSR_, CONFIGURATIONS };
+inline __attribute__((visibility("hidden"))) uint8_t &configuration(Configuration which)
+{
+    static uint8_t all[CONFIGURATIONS] = {0, 1 << PORF};
+    return all[which];
+}
+template <Configuration which> struct ConfigurationOf {
+    static uint8_t read() { return configuration(which); }
+    static void write(uint8_t v) { configuration(which) = v; }
+    static volatile uint8_t *pointer() { return &configuration(which); }
+};
+} // namespace pulsestage
+#define PULSESTAGE_HOLDS(name)                                                                                         \
+    static const pulsestage::Register<pulsestage::ConfigurationOf<pulsestage::name##_>> name __attribute__((unused)) = {}
+PULSESTAGE_HOLDS(MCUCR);
+PULSESTAGE_HOLDS(MCUSR);
+PULSESTAGE_HOLDS(SMCR);
+PULSESTAGE_HOLDS(PRR);
+PULSESTAGE_HOLDS(PRR0);
+PULSESTAGE_HOLDS(PRR1);
+PULSESTAGE_HOLDS(ACSR);
+PULSESTAGE_HOLDS(DIDR0);
+PULSESTAGE_HOLDS(DIDR1);
+PULSESTAGE_HOLDS(DIDR2);
+PULSESTAGE_HOLDS(GPIOR0);
+PULSESTAGE_HOLDS(GPIOR1);
+PULSESTAGE_HOLDS(GPIOR2);
+PULSESTAGE_HOLDS(OSCCAL);
+PULSESTAGE_HOLDS(CLKPR);
+PULSESTAGE_HOLDS(WDTCSR);
+PULSESTAGE_HOLDS(GTCCR);
+PULSESTAGE_HOLDS(ASSR);
+#undef PULSESTAGE_HOLDS
 
 #include <avr/timer_.h>
 #include <avr/uart_.h>
+#include <avr/eeprom_.h>
 
 } /* extern "C++" */
 #endif

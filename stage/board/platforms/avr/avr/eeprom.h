@@ -1,0 +1,66 @@
+/* avr/eeprom.h on an emulated board: functions for the memory of avr/eeprom_.h. A variable with EEMEM is in the memory of the program. */
+#ifndef PULSESTAGE_AVR_EEPROM_H
+#define PULSESTAGE_AVR_EEPROM_H
+
+extern "C++" { /* also where a program in C is included */
+
+#include <avr/io.h>
+
+#define EEMEM
+
+namespace pulsestage
+{
+/* The byte at an address of the memory, or of a variable with EEMEM. */
+inline uint8_t read_eeprom(const void *at)
+{
+    const uintptr_t address = reinterpret_cast<uintptr_t>(at);
+    return address > E2END ? *static_cast<const uint8_t *>(at) : eeprom()[int(address)];
+}
+inline void write_eeprom(void *at, uint8_t value)
+{
+    const uintptr_t address = reinterpret_cast<uintptr_t>(at);
+    if (address > E2END)
+        *static_cast<uint8_t *>(at) = value;
+    else {
+        eeprom().write(int(address), value);
+        eeprom().wait();
+    }
+}
+} // namespace pulsestage
+
+#define eeprom_is_ready() (!pulsestage::eeprom().is_busy())
+#define eeprom_busy_wait() pulsestage::eeprom().wait()
+
+static inline void eeprom_read_block(void *to, const void *from, size_t n)
+{
+    for (size_t k = 0; k < n; k++)
+        static_cast<uint8_t *>(to)[k] = pulsestage::read_eeprom(static_cast<const uint8_t *>(from) + k);
+}
+static inline void eeprom_write_block(const void *from, void *to, size_t n)
+{
+    for (size_t k = 0; k < n; k++)
+        pulsestage::write_eeprom(static_cast<uint8_t *>(to) + k, static_cast<const uint8_t *>(from)[k]);
+}
+static inline void eeprom_update_block(const void *from, void *to, size_t n)
+{
+    for (size_t k = 0; k < n; k++)
+        if (pulsestage::read_eeprom(static_cast<uint8_t *>(to) + k) != static_cast<const uint8_t *>(from)[k])
+            pulsestage::write_eeprom(static_cast<uint8_t *>(to) + k, static_cast<const uint8_t *>(from)[k]);
+}
+#define PULSESTAGE_EEPROM_VALUE(name, type)                                                                            \
+    static inline type eeprom_read_##name(const type *from)                                                            \
+    {                                                                                                                  \
+        type value;                                                                                                    \
+        eeprom_read_block(&value, from, sizeof value);                                                                 \
+        return value;                                                                                                  \
+    }                                                                                                                  \
+    static inline void eeprom_write_##name(type *to, type value) { eeprom_write_block(&value, to, sizeof value); }     \
+    static inline void eeprom_update_##name(type *to, type value) { eeprom_update_block(&value, to, sizeof value); }
+PULSESTAGE_EEPROM_VALUE(byte, uint8_t)
+PULSESTAGE_EEPROM_VALUE(word, uint16_t)
+PULSESTAGE_EEPROM_VALUE(dword, uint32_t)
+PULSESTAGE_EEPROM_VALUE(float, float)
+#undef PULSESTAGE_EEPROM_VALUE
+
+} /* extern "C++" */
+#endif
