@@ -198,10 +198,40 @@ def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platf
         has_failed, message = _run_compiler(command)
     if has_failed and _LINKER_ERROR.search(message):
         names = ", ".join(map(str, sources))
-        raise CompileError(f"{names}: the linker fails ({command[0]}):\n{message}{LINK_HINT * bool(absent)}", message)
+        message = _demangle(message)
+        hint = _suggest_files(list(map(_demangle, absent)), sources, platform) or LINK_HINT * bool(absent)
+        raise CompileError(f"{names}: the linker fails ({command[0]}):\n{message}{hint}", message)
     if has_failed:
         raise _make_compile_error(sources[0], command, message, platform)
     return message
+
+
+def _suggest_files(names: Sequence[str], sources: Sequence[Path], platform: platforms.Platform | None) -> str:
+    """Name the files that define missing functions and are not compiled, beside the sources and in the folders of libraries.
+
+    Args:
+        names: Names of the functions as the linker has them.
+        sources: Sources that are compiled.
+        platform: Platform of the sources, with its libraries.
+    """
+    libraries = platform.libraries if platform is not None else ()
+    compiled = {file.resolve() for file in (*sources, *(file for library in libraries for file in library.sources))}
+    files = [file for folder in dict.fromkeys(source.parent for source in sources) for file in sorted(folder.iterdir())]
+    files += [file for library in libraries for file in sorted(library.folder.rglob("*"))]
+    texts = {
+        file: file.read_text(**platforms.ENCODING)
+        for file in files
+        if file.suffix in SOURCES and file.is_file() and file.resolve() not in compiled
+    }
+    lines = []
+    for name in dict.fromkeys(names):
+        word = re.escape(re.split(r"[(<]", name)[0])
+        definition = next(
+            (file for file, text in texts.items() if re.search(rf"(?<!\w){word}\s*\([^;{{}}]*\)[^;{{}}]*{{", text)),
+            None,
+        )
+        lines += [f"\n{name} is in {definition}: give this file as well."] if definition else []
+    return "".join(lines)
 
 
 def _make_compile_error(

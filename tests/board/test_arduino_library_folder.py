@@ -105,6 +105,19 @@ def test_a_missing_dependency_is_named(tmp_path):
         NativeHost(tmp_path / "blink.ino", make_board(), libraries=[library])
 
 
+def test_a_link_error_names_the_file_that_has_the_missing_function(tmp_path):
+    library = write_library(tmp_path / "Blinker")
+    (library / "src" / "Blinker.cpp").rename(library / "extras" / "Blinker.cpp")
+    (tmp_path / "blink.ino").write_text(SKETCH + "int setting();\nint other = setting();\n")
+    (tmp_path / "settings.cpp").write_text("int setting()\n{\n    return 5;\n}\n")
+    with pytest.raises(CompileError) as error:
+        NativeHost(tmp_path / "blink.ino", make_board(), libraries=[library])
+    assert f"Blinker::blink(int) is in {library / 'extras' / 'Blinker.cpp'}: give this file as well." in str(
+        error.value
+    )
+    assert f"setting() is in {tmp_path / 'settings.cpp'}: give this file as well." in str(error.value)
+
+
 def test_what_is_no_library_is_refused(tmp_path):
     with pytest.raises(FileError, match="there is no such folder"):
         read_arduino_library(tmp_path / "none")

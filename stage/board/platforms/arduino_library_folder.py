@@ -22,12 +22,14 @@ class ArduinoLibrary:
 
     Attributes:
         name: Its name in library.properties, or that of the folder.
+        folder: The folder.
         include_folders: Folders in which sketches find its headers.
         sources: Sources in C and C++ that are compiled with each sketch.
         dependencies: Names of the libraries that it needs, as library.properties has them.
     """
 
     name: str
+    folder: Path
     include_folders: tuple[Path, ...]
     sources: tuple[Path, ...]
     dependencies: tuple[str, ...]
@@ -59,6 +61,7 @@ def read_arduino_library(folder: str | os.PathLike) -> ArduinoLibrary:
     properties = _read_properties(root / PROPERTIES)
     return ArduinoLibrary(
         properties.get("name", root.resolve().name),
+        root,
         include_folders,
         tuple(file for file in files if file.suffix in SOURCES),
         tuple(
