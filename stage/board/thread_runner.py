@@ -266,7 +266,7 @@ class ThreadRunner:
                 state, since = now, time.monotonic()
             elif time.monotonic() - since > self._patience:
                 if not is_debugged():
-                    raise HostError(self._explain_silence(int(h["answers"])))
+                    raise HostError(self._explain_missing_bus_cycle(int(h["answers"])))
                 since = time.monotonic()
 
     def _has_lost_its_thread(self) -> bool:
@@ -279,23 +279,23 @@ class ThreadRunner:
             return False
         return True
 
-    def _explain_silence(self, answers: int) -> str:
-        """Explain that the firmware has made no bus cycle for too long.
+    def _explain_missing_bus_cycle(self, device_code: int) -> str:
+        """Explain that the firmware, or a device of the board, has computed for too long without a bus cycle.
 
         Args:
-            answers: Field `answers` of the HOST record: the device whose code runs, plus one, or 0.
+            device_code: 0 if the firmware computes, else the index of the device whose code runs, plus one (`answers` of HOST).
         """
         board, path = self._board, self._path
         duration, at = f"has computed for {self._patience:g} s of real time", f"at {board.stage.time:.6f} s"
         end = f"{self.outlives} {board.trace.format_ending(12)}"
-        if not answers:
+        if not device_code:
             return (
                 f"{path.name} {duration} without a bus cycle or a delay ({at}): a loop that waits for nothing?"
                 f"{self._locate(path)} A program that has done its work returns, or waits in a delay: `for (;;) _delay_ms(1);`, or "
                 f"ps_delay_us. Computing takes no time, and no interrupt comes in it, unless cost= (--cost) says what it takes: "
                 f"docs/interrupts.md.{end}"
             )
-        device = board.devices[answers - 1]
+        device = board.devices[device_code - 1]
         where = self._locate(device.loaded, path) if isinstance(device, CDevice) else ""
         return f"{device.label} {duration} in one bus cycle of {path.name} ({at}): a loop without end?{where}{end}"
 

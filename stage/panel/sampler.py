@@ -126,7 +126,7 @@ class SampleBuffer:
         self._memory[self._end : end] = rows
         self._end, self.rows = end, self._memory[begin:end]
 
-    def forget_from(self, time: float) -> None:
+    def drop_samples_from(self, time: float) -> None:
         """Drop the samples at `time`, s, or later, after time has gone back."""
         n = self.count_before(time)
         self._end -= len(self.rows) - n
@@ -200,8 +200,8 @@ class Sampler:
     def _forget_from(self, time: float) -> None:
         if max(self._fine.last_time, self._coarse.last_time) >= time:
             with self.lock:
-                self._fine.forget_from(time)
-                self._coarse.forget_from(time)
+                self._fine.drop_samples_from(time)
+                self._coarse.drop_samples_from(time)
 
     def _connect_source(self, stage: Stage) -> None:
         """Connect to a source of samples: the engine, another sampler of the stage, or the recording that is under way."""

@@ -41,7 +41,7 @@ def test_a_buffer_holds_the_end_of_a_list_whatever_is_added_and_forgotten(seed):
             time += n
         elif expected:
             time = rng.randrange(max(0, expected[0] - 2), expected[-1] + 3)
-            buffer.forget_from(time)
+            buffer.drop_samples_from(time)
             expected = [t for t in expected if t < time]
             time = max(time, expected[-1] + 1 if expected else time)
         assert buffer.rows["time"][:, 0].tolist() == expected

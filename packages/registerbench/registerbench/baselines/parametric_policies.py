@@ -207,7 +207,7 @@ class RememberingPolicy(SpeedFactorPolicy):
         self.last = super().choose_log_speed_factor(distance, in_step)
         return self.last
 
-    def update_bounds(self, in_step: np.ndarray) -> None:
+    def update_success_and_failure(self, in_step: np.ndarray) -> None:
         """Update the fastest success and the slowest failure of each machine after an attempt.
 
         Args:
@@ -222,7 +222,7 @@ class RememberingPolicy(SpeedFactorPolicy):
         down = 2 * up
         if not self.attempts_made:
             return first + slope * distance
-        self.update_bounds(in_step)
+        self.update_success_and_failure(in_step)
         has_success, has_failure = np.isfinite(self.fastest_success), np.isfinite(self.slowest_failure)
         with np.errstate(invalid="ignore"):
             between = self.fastest_success + min(share, 1.0) * (self.slowest_failure - self.fastest_success)

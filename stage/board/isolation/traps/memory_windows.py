@@ -119,7 +119,7 @@ class MemoryWindows:
                 if at != ctypes.c_void_p(-1).value:
                     _libc.munmap(ctypes.c_void_p(at), size)
                 raise ArgumentError(
-                    f"window {window}: {_describe_use(begin, end)}. Choose another address; or {PROXIES}."
+                    f"window {window}: {_describe_address_range(begin, end)}. Choose another address; or {PROXIES}."
                 )
             self._pages.append((begin, end))
         self._windows.append(window)
@@ -227,8 +227,8 @@ def _make_thunk() -> int:
         raise StageError(f"{error} Windows need that: {PROXIES}.") from None
 
 
-def _describe_use(begin: int, end: int) -> str:
-    """Describe what lies at these addresses."""
+def _describe_address_range(begin: int, end: int) -> str:
+    """Explain why the addresses from `begin` to `end` cannot become a window: what uses them, if anything does."""
     for line in os.fsdecode(Path("/proc/self/maps").read_bytes()).splitlines():
         place, *rest = line.split(maxsplit=5)
         low, high = (int(n, 16) for n in place.split("-"))
