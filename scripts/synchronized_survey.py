@@ -16,8 +16,8 @@ from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.path_deviation import compute_path_deviation
+from stage.firmware.pcl240.emulated_preset_move import trace_row
 from stage.firmware.pcl240.preset_move_closed_form import compute_ramp_stretch, set_s_curve_registers
-from stage.firmware.pcl240.register_row_pulses import trace_row
 
 DELAYS = (1e-6, 1e-5, 1e-4)
 

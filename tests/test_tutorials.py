@@ -9,7 +9,7 @@ import pytest
 from support.pages import choose_tolerance, get_exit_code, is_printed, steps
 
 from stage.cli import main
-from stage.targets import mcus
+from stage.targets import supported_processors
 
 PAGES = sorted((Path(__file__).resolve().parents[1] / "docs" / "tutorials").glob("*.md"))
 
@@ -34,8 +34,8 @@ def run_typed_command(command, capsys):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_tutorial_that_is_followed_word_for_word_does_what_it_says(page, tmp_path, monkeypatch, capsys):
-    if "--mcu atmega" in page.read_text() and not mcus.has_simavr():
-        pytest.skip(f"there is no {mcus.SIMAVR}")
+    if "--mcu atmega" in page.read_text() and not supported_processors.has_simavr():
+        pytest.skip(f"there is no {supported_processors.SIMAVR}")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     """Simulate and print the pull-out curve of a motor, and compare it with the published curve."""
     from stage.drives.dynamometer import tabulate_pull_out
     from stage.drives.motors import Drive, describe_core_loss, estimate_core_loss, find_motor
-    from stage.drives.published_curves import PUBLISHED_CURVES
+    from stage.drives.published_pull_out_curves import PUBLISHED_CURVES
 
     drive = Drive(find_motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     check_outputs(args)

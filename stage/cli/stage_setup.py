@@ -20,7 +20,7 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
         visuals: Whether to keep the parts of the model that are only for display.
     """
     from stage import Drive, Stage
-    from stage.sim.chips_and_drives import find_chip_class
+    from stage.sim.chip_and_drive_assignment import find_chip_class
 
     selected = {"motor": args.motor, "power_stage": args.drive}
     parts: Any = {name: choice for name, choice in selected.items() if choice is not None}

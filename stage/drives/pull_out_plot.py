@@ -10,7 +10,7 @@ import numpy as np
 from stage.drives.dynamometer import PullOut, compute_closed_form, compute_voltage_and_current_bound, simulate_pull_out
 from stage.drives.motor_tolerances import vary_motor
 from stage.drives.motors import Drive, Motor, estimate_core_loss
-from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
+from stage.drives.published_pull_out_curves import PUBLISHED_CURVES, PublishedCurve
 from stage.support.files import save_figure
 from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame
 

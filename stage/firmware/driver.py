@@ -21,7 +21,7 @@ from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.chips.journal_entries import WRITE
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis, check_origin
-from stage.firmware.operation_pattern import OperationPattern
+from stage.firmware.move_plot_signals import OperationPattern
 from stage.firmware.stop_reasons import STOP_COMMAND, UNKNOWN
 from stage.sim.program import Operations
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver_class
-from stage.firmware.operation_pattern import OperationPattern, PatternNote
+from stage.firmware.move_plot_signals import OperationPattern, PatternNote
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
 from stage.support.plot_style import COLORS, FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame

@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 
 from stage.errors import SimulationError
-from stage.sim.libmujoco import load_mujoco_library
+from stage.sim.mujoco_function_addresses import load_mujoco_library
 
 NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
 _POINTERS = [ctypes.c_void_p.in_dll(load_mujoco_library(), f"mjcb_{name}") for name in NAMES]

@@ -8,8 +8,8 @@
 Promises, each with a test: the same stage, program and seed give the same bits; a run of n steps then m is a run of n + m;
 snapshot, restore, copy and pickle continue bit for bit; an error leaves the state as it was.
 
-This module is the interface for users. stage.sim.plant reads the model, chips_and_drives.py chooses the chips and drives, a `State`
-holds the records, and a `StageLoop` advances time.
+This module is the interface for users. stage.sim.plant reads the model, chip_and_drive_assignment.py chooses the chips and drives,
+a `State` holds the records, and a `StageLoop` advances time.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from stage.errors import ArgumentError, RunTimeout, StageError, unknown_name_err
 from stage.sim import encoder, engine, engine_records, integration_checks, mujoco_callbacks, plant, stage_handle
 from stage.sim.axis import Axes, Axis, format_axes_table
 from stage.sim.bus_device_state import DeviceState
-from stage.sim.chips_and_drives import ChipChoice, DriveChoice, choose_chips_and_drives, fit_rotors
-from stage.sim.drive_replacement import compute_power_up_state, replace_motor_in_model, set_drive_record
+from stage.sim.chip_and_drive_assignment import ChipChoice, DriveChoice, choose_chips_and_drives, fit_rotors
 from stage.sim.encoder import EncoderChoice
 from stage.sim.model_fingerprint import compute_mechanics_digest
+from stage.sim.motor_replacement import compute_power_up_state, replace_motor_in_model, set_drive_record
 from stage.sim.payload import Payloads
 from stage.sim.stage_loop import StageLoop
 from stage.sim.stage_snapshot import Snapshot, describe_stage
 from stage.sim.stage_state import SAVED, State, count_state_words, list_chips
-from stage.sim.wiring_choices import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
+from stage.sim.wiring_arguments import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
 from stage.support import html, snapshots
 from stage.support.argument_checks import explain_arguments
 from stage.support.snapshots import SnapshotHeader

@@ -20,10 +20,10 @@ from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
 from stage.native import address_of, without_attributes
-from stage.sim import engine_records, libmujoco, mujoco_callbacks
+from stage.sim import engine_records, mujoco_callbacks, mujoco_function_addresses
 from stage.sim import stage_handle as handle
 from stage.sim.plant import PlantAxis
-from stage.sim.wiring_choices import Wires
+from stage.sim.wiring_arguments import Wires
 
 SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
 EDGES = 640
@@ -171,8 +171,8 @@ class State:
         """Fill the CLOCKWORK record: durations, counts, and the addresses of MuJoCo's functions."""
         w, dt = self.clockwork[0], self.dt
         w.mj_step, w.mj_get_state = (
-            libmujoco.find_mujoco_address("mj_step"),
-            libmujoco.find_mujoco_address("mj_getState"),
+            mujoco_function_addresses.find_mujoco_address("mj_step"),
+            mujoco_function_addresses.find_mujoco_address("mj_getState"),
         )
         w.state_spec, w.encoders = int(SAVED), encoders
         w.dt, w.slices, w.h, w.half, w.nv = (

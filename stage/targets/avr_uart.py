@@ -1,7 +1,8 @@
 """`AvrUart`: a serial line of a program on simavr, connected to the log and to the board.
 
 simavr has no functions for the rate of a UART. Its registers and the cycles of a character are read from the structure avr_uart_t,
-which `stage.targets.simavr_layout` describes. If `find_uart_layout` does not find them, the program's output still goes to the log.
+which `stage.targets.simavr_structure_offsets` describes. If `find_uart_layout` does not find them, the program's output still
+goes to the log.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from stage.board.board import Board
 from stage.native import array_at
 from stage.targets import avr_serial
-from stage.targets.simavr_layout import IRQ, MODULE, UART, list_modules, view_structure
+from stage.targets.simavr_structure_offsets import IRQ, MODULE, UART, list_modules, view_structure
 
 NAMES = "0123"
 INPUT, OUTPUT, EMPTY = 0, 1, 2

@@ -21,7 +21,7 @@ from stage.errors import add_article
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
 from stage.support.subprocesses import run_program
-from stage.targets.mcus import AVRS
+from stage.targets.supported_processors import AVRS
 
 AVR, ARM = 83, 40
 MAX_SIZE = 1 << 28

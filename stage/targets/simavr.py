@@ -2,7 +2,7 @@
 nor linked.
 
 The module uses simavr's functions. Values without a function, such as clock and program counter, are read from simavr's structures:
-`simavr_layout` knows their offsets, and refuses a version of simavr with other offsets.
+`simavr_structure_offsets` knows their offsets, and refuses a version of simavr with other offsets.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from stage.board.errors import HostError, LibraryError
 from stage.board.pin_assignment import PinLine, WiringFinding
 from stage.errors import StageError
 from stage.native import address_of, array_at
-from stage.targets import avr_core, avr_uart, mcus, simavr_layout
-from stage.targets.avr_bus import AvrBus, BusPins, encode_ioctl_request
-from stage.targets.avr_lines import AvrLines
+from stage.targets import avr_clock_and_pins, avr_uart, simavr_structure_offsets, supported_processors
+from stage.targets.avr_bus_wiring import AvrBus, BusPins, encode_ioctl_request
+from stage.targets.avr_step_dir_pins import AvrLines
 from stage.targets.avr_uart import AvrUart
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
-from stage.targets.simavr_overlay import SimavrOverlay
+from stage.targets.simavr_register_handlers import SimavrOverlay
 
 BUILD_COMMAND = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
 DEFAULT_HZ = 16_000_000
@@ -113,7 +113,7 @@ class _Library:
     instance: _Library | None = None
 
     def __init__(self, isolated: bool) -> None:
-        self.library = mcus.load_simavr()
+        self.library = supported_processors.load_simavr()
         self.messages: list[tuple[int, str]] = []
         self.running_record: Any = None
         self.run_cycles = np.zeros(2, "u8")
@@ -208,7 +208,7 @@ class LoadedAvr:
                 f"gdb={program.gdb}: the server of simavr needs a process of its own on 64-bit Linux (isolated=True)."
             )
         self._simavr.messages.clear()
-        simavr_layout.check_layout(self._simavr.library)
+        simavr_structure_offsets.check_layout(self._simavr.library)
         self._avr = self._simavr.make_avr(program.mcu.encode())
         if not self._avr:
             raise StageError(f"this version of simavr does not know the {program.mcu}.")
@@ -241,9 +241,12 @@ class LoadedAvr:
 
     def _set_clock(self, hz: int) -> None:
         """Set the clock in Hz, keep simavr from sleeping in real time, and find the fields of the avr_t that this class reads."""
-        row = simavr_layout.view_structure(self._avr, simavr_layout.AVR)
+        row = simavr_structure_offsets.view_structure(self._avr, simavr_structure_offsets.AVR)
         row["hz"], row["sleep"] = hz, ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value
-        at = {name: self._avr + simavr_layout.get_offset(simavr_layout.AVR, name) for name in row.dtype.names}
+        at = {
+            name: self._avr + simavr_structure_offsets.get_offset(simavr_structure_offsets.AVR, name)
+            for name in row.dtype.names
+        }
         self._pc, self._state_at, self._wait_at = at["pc"], at["state"], at["interrupt_wait"]
         self._state = array_at(self._state_at, 1, np.dtype("u4"))
         self._run_cycles = array_at(at["cycles_left"], 2, np.dtype("u8"))
@@ -296,7 +299,7 @@ class LoadedAvr:
     def _make_record(self, irq: tuple[int, int] | None, hz: int) -> None:
         """Create the AVR record. `irq` is the pin of the interrupt line, or None."""
         link, library = self._board.link, self._simavr
-        self._row = np.zeros(1, avr_core.AVR)
+        self._row = np.zeros(1, avr_clock_and_pins.AVR)
         t = self.record = self._row[0]
         t.own, t.avr, t.host, t.request = self._row.ctypes.data, self._avr, link.pointer, host_requests.request.address
         t.run, t.raise_irq = library.find_function_address("avr_run"), library.find_function_address("avr_raise_irq")
@@ -313,7 +316,7 @@ class LoadedAvr:
         t.interrupt_wait = self._wait_at
         t.has_pending = library.find_function_address("avr_has_pending_interrupts")
         t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
-        self._tick = avr_core.end_quantum.pointer
+        self._tick = avr_clock_and_pins.end_quantum.pointer
         t.timer = ctypes.cast(self._tick, ctypes.c_void_p).value
 
     def find_irq(self, port: int, number: int) -> int:
@@ -328,7 +331,7 @@ class LoadedAvr:
         """
         irq = self._get_port_irq(port, number)
         if not irq:
-            raise StageError(f"--map: this AVR has no port {avr_core.PORTS[port]}.")
+            raise StageError(f"--map: this AVR has no port {avr_clock_and_pins.PORTS[port]}.")
         return int(irq)
 
     def has_port(self, port: int) -> bool:
@@ -338,7 +341,7 @@ class LoadedAvr:
     def _get_port_irq(self, port: int, number: int) -> int | None:
         """Return a simavr IRQ of a port, or None if this AVR has no such port."""
         return self._simavr.get_irq(
-            ctypes.c_void_p(self._avr), encode_ioctl_request("iog" + avr_core.PORTS[port]), number
+            ctypes.c_void_p(self._avr), encode_ioctl_request("iog" + avr_clock_and_pins.PORTS[port]), number
         )
 
     def find_function_address(self, name: str) -> int:
@@ -405,11 +408,11 @@ class LoadedAvr:
             print(f"GDB: target remote 127.0.0.1:{self._gdb}", file=sys.stderr, flush=True)
             self._call_library("avr_gdb_init")
         library.running_record, library.run_cycles = t, self._run_cycles
-        avr_core.run.c(t.own)
+        avr_clock_and_pins.run.c(t.own)
         library.running_record = None
         for uart in self._uarts:
             uart.flush_sent_bytes()
-        if t.asleep == avr_core.NOTHING_WAKES:
+        if t.asleep == avr_clock_and_pins.NOTHING_WAKES:
             library.messages.append((_ERROR, SLEEPS_FOR_EVER))
         elif t.ended and not any(key in text for _, text in library.messages for key in _ENDS):
             return int(np.int64(t.code).astype(np.int16))

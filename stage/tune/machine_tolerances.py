@@ -17,7 +17,7 @@ import numpy as np
 from stage.drives.dc_motors import Servo
 from stage.drives.motor_tolerances import estimate_tolerances, vary_motor
 from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, read_tolerance
-from stage.sim.drive_replacement import vary_drive
+from stage.sim.motor_replacement import vary_drive
 from stage.support import portable_math
 
 

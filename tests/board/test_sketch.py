@@ -2,7 +2,7 @@
 
 import pytest
 
-from stage.board.platforms.arduino_sketch import list_sketch_files, translate_sketch
+from stage.board.platforms.arduino_sketch_to_cpp import list_sketch_files, translate_sketch
 
 SKETCH = """\
 // void ghost() {

@@ -12,7 +12,7 @@ from stage.cli import main
 from stage.drives.dynamometer import simulate_pull_out, tabulate_pull_out
 from stage.drives.motor_tolerances import vary_motor
 from stage.drives.motors import MOTORS, Drive, describe_core_loss, estimate_core_loss, find_motor
-from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve, fit_curve
+from stage.drives.published_pull_out_curves import PUBLISHED_CURVES, PublishedCurve, fit_curve
 from stage.drives.pull_out_plot import plot_pull_out
 
 CURVE = PUBLISHED_CURVES["17HS19-2004S1"]

@@ -9,7 +9,7 @@ from stage import ArgumentError
 from stage.drives.dynamometer import compute_closed_form, compute_voltage_and_current_bound
 from stage.drives.motor_tolerances import estimate_tolerances, vary_motor
 from stage.drives.motors import EVIDENCE, MOTORS, describe_core_loss, estimate_core_loss, find_motor, read_tolerance
-from stage.drives.published_curves import PUBLISHED_CURVES, fit_curve
+from stage.drives.published_pull_out_curves import PUBLISHED_CURVES, fit_curve
 
 CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
 

@@ -18,7 +18,7 @@ from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
 from stage.firmware.line_programs import LineMoves, create_line_programs
 from stage.firmware.path_deviation import compute_path_deviation, compute_perfect_deviation, replay_pulses
-from stage.firmware.pcl240 import register_row_pulses
+from stage.firmware.pcl240 import emulated_preset_move
 from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
@@ -168,7 +168,7 @@ def test_the_observation_predicts_the_deviation_of_the_follower_pulses():
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
         follower, rho = 1 - lead, d[1 - lead] / d[lead]
-        pulses = [register_row_pulses.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
+        pulses = [emulated_preset_move.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
         row = rows[k, lead]
         risen = (row[2] - row[1]) * row[4]
         falls = pulses[lead][d[lead] - row[6]]

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY
-from stage.firmware.pcl240.operation_pattern import Pcl240Pattern
+from stage.firmware.move_plot_signals import AMBER, BLUE, GREEN, GREY
+from stage.firmware.pcl240.move_plot_signals import Pcl240Pattern
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,15 +13,15 @@ from support.examples import SEED, scaled
 from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.pcl240 import follower_fit, leader_search
-from stage.firmware.pcl240.leader_search import compute_equivalent_linear_steps
+from stage.firmware.pcl240 import follower_register_search, line_register_search
+from stage.firmware.pcl240.emulated_preset_move import trace_row
+from stage.firmware.pcl240.line_register_search import compute_equivalent_linear_steps
 from stage.firmware.pcl240.preset_move_closed_form import (
     compute_ramp_ticks,
     count_pulses,
     fill_motion,
     find_first_pulse_tick,
 )
-from stage.firmware.pcl240.register_row_pulses import trace_row
 from stage.firmware.pcl240.speed_profile import compute_ramp_seconds
 
 
@@ -70,11 +70,11 @@ def compute_max_deviation(leader, follower, lead, corners=False, hz=4_915_200):
 
 def test_a_ramp_down_point_may_be_the_largest_that_r6_holds():
     row = np.array([20_000, 100, 1100, 1100, 100, 100, 0, 40])
-    needed = int(next(leader_search._vary_tail_lengths(row, 4_915_200, 1 << 20))[6])
+    needed = int(next(line_register_search._vary_tail_lengths(row, 4_915_200, 1 << 20))[6])
     assert needed > 100
-    assert next(leader_search._vary_tail_lengths(row, 4_915_200, needed))[6] == needed
+    assert next(line_register_search._vary_tail_lengths(row, 4_915_200, needed))[6] == needed
     with pytest.raises(ArgumentError, match=f"R6 counts to {needed - 1}: shorten decel or lower the rate"):
-        next(leader_search._vary_tail_lengths(row, 4_915_200, needed - 1))
+        next(line_register_search._vary_tail_lengths(row, 4_915_200, needed - 1))
 
 
 def test_longer_tails_are_tried_only_if_fl_is_fast_enough():
@@ -83,7 +83,8 @@ def test_longer_tails_are_tried_only_if_fl_is_fast_enough():
     for fl in (1, 100):
         row = np.array([4000, fl, fl + 66, fl + 66, 100, 100, 0, 40])
         points = [
-            int(row_of_registers[6]) for row_of_registers in leader_search._vary_tail_lengths(row, 4_915_200, 1 << 20)
+            int(row_of_registers[6])
+            for row_of_registers in line_register_search._vary_tail_lengths(row, 4_915_200, 1 << 20)
         ]
         tails[fl] = [point - points[0] + 5 for point in points]
     assert tails == {1: [5, 4, 6], 100: [5, 8, 11, 14, 4, 6, 9]}
@@ -93,7 +94,7 @@ def test_longer_tails_are_tried_only_if_fl_is_fast_enough():
 def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
     """The estimate also holds for followers that fit badly: then the farthest moment is at an end of a ramp of theirs."""
     print("seed", SEED)
-    rng, work, short = random.Random(SEED), np.zeros(1, follower_fit.WORK_DTYPE), []
+    rng, work, short = random.Random(SEED), np.zeros(1, follower_register_search.WORK_DTYPE), []
     for n in range(scaled(160)):
         d, fl, gain, r6 = rng.randint(3000, 9000), rng.randint(40, 200), rng.randint(200, 900), rng.randint(200, 900)
         up, down = rng.choices(range(40, 200), k=2)
@@ -106,7 +107,7 @@ def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
         follower = leader.copy()
         follower[:7], follower[7] = np.maximum(leader[:7] * off, 2), 80
         lead = rng.choice((0.0, 1e-4))
-        distance = follower_fit.estimate_line_distance(leader, 4_915_200, follower, 4_915_200, lead, work)
+        distance = follower_register_search.estimate_line_distance(leader, 4_915_200, follower, 4_915_200, lead, work)
         if n % 10 == 0:
             short.append(distance / compute_max_deviation(leader, follower, lead))
         assert distance > compute_max_deviation(leader, follower, lead, corners=True) - 1e-6
@@ -349,22 +350,22 @@ def test_a_plan_notes_an_fl_that_differs_from_its_share():
 def test_a_plan_does_not_depend_on_earlier_plans():
     """The room that is handed on holds another follower's times: R5, R6 and scores are those of fresh room."""
     leader = np.array([6400, 100, 1600, 1600, 600, 600, 700, 24])
-    hz, work = 4_915_200, np.zeros(1, follower_fit.WORK_DTYPE)
+    hz, work = 4_915_200, np.zeros(1, follower_register_search.WORK_DTYPE)
 
     def rises(d, room):
         scores, kept = (
-            np.empty(follower_fit.MAX_CANDIDATES),
-            np.zeros((follower_fit.MAX_CANDIDATES, len(leader)), np.int64),
+            np.empty(follower_register_search.MAX_CANDIDATES),
+            np.zeros((follower_register_search.MAX_CANDIDATES, len(leader)), np.int64),
         )
-        follower_fit.fit_accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, 0, scores, kept, room)
+        follower_register_search.fit_accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, 0, scores, kept, room)
         return kept
 
     def falls(kept, room):
         scores, best = (
-            np.empty(follower_fit.MAX_BEST_ROWS),
-            np.zeros((follower_fit.MAX_BEST_ROWS, len(leader)), np.int64),
+            np.empty(follower_register_search.MAX_BEST_ROWS),
+            np.zeros((follower_register_search.MAX_BEST_ROWS, len(leader)), np.int64),
         )
-        follower_fit.fit_decelerations(leader, hz, hz, 0.0, False, 16_383, 65_535, kept, scores, best, room)
+        follower_register_search.fit_decelerations(leader, hz, hz, 0.0, False, 16_383, 65_535, kept, scores, best, room)
         return scores.tolist(), best.tolist()
 
     kept = rises(3000, work)

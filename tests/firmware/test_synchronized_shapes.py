@@ -13,8 +13,8 @@ from support.examples import SEED, assert_axes_are_named, scaled
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
+from stage.firmware.pcl240.emulated_preset_move import trace_row
 from stage.firmware.pcl240.preset_move_closed_form import count_pulses, fill_motion, set_s_curve_registers
-from stage.firmware.pcl240.register_row_pulses import trace_row
 
 FAMILY = (PCL240K, PCL240MK, PCL240MS)
 SHAPES = {

@@ -17,7 +17,7 @@ from stage.board import Board, NativeHost
 from stage.board.firmware_library import find_compiler
 from stage.chips import PCL240MK
 from stage.firmware.path_deviation import compute_path_deviation, replay_pulses
-from stage.firmware.pcl240 import register_row_pulses
+from stage.firmware.pcl240 import emulated_preset_move
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
 LINE = {"x": 20_000, "y": 12_000, "z": 5_000}
@@ -166,7 +166,7 @@ def test_random_lines_stay_within_two_and_a_half_pulses(library):
             assert move.pulses == distances[k]
             row = np.array([abs(move.pulses), s.R1, s.R2, s.R2, s.R4, s.R5, move.R6, s.R7], np.int64)
             started = order.index(k) * 1e-6
-            paths.append((register_row_pulses.trace_row(row, PCL240MK) / PCL240MK.DEFAULT_CLOCK_HZ + started, 1))
+            paths.append((emulated_preset_move.trace_row(row, PCL240MK) / PCL240MK.DEFAULT_CLOCK_HZ + started, 1))
         max_distance.append(compute_path_deviation(paths, np.abs(distances).tolist()).pulses)
     print(f"median {np.median(max_distance):.2f}, largest {max(max_distance):.2f}")
     assert np.median(max_distance) <= 1.5

@@ -19,7 +19,7 @@ from stage.firmware.nova import path_interpolation
 from stage.firmware.nova.chip_port import ChipPort as NovaPort
 from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.path_deviation import compute_path_points, compute_perfect_deviation
-from stage.firmware.pcl240 import follower_fit, register_row_pulses
+from stage.firmware.pcl240 import emulated_preset_move, follower_register_search
 from stage.firmware.pcl240 import preset_move_closed_form as closed
 from stage.sim import plant
 from stage.sim.program import Program
@@ -376,7 +376,7 @@ def compare_paths():
 
 def compute_closed_forms():
     """Compute what rows of registers come to by the closed form, and on emulated chips."""
-    draw_, work, results = Draw("closed form"), np.zeros(1, follower_fit.WORK_DTYPE), {}
+    draw_, work, results = Draw("closed form"), np.zeros(1, follower_register_search.WORK_DTYPE), {}
     leader = None
     for k in range(36):
         size, fl, r7 = draw_.size(2, 6000), draw_.size(1, 3000), draw_.size(2, 400)
@@ -390,21 +390,21 @@ def compute_closed_forms():
         closed.fill_motion(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
-        ticks = register_row_pulses.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
+        ticks = emulated_preset_move.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
         results[k] = [
             c, [closed.count_pulses(r, c, t) for t in times], closed.find_first_pulse_tick(r, c),
             closed.compute_ramp_ticks(r, r[4]),
             closed.compute_ramp_stretch(r), r[8:], len(ticks), int(ticks.sum()), int(ticks[0]),
-            register_row_pulses.compute_ramp_down_offset(r, chip),
+            emulated_preset_move.compute_ramp_down_offset(r, chip),
         ]  # fmt: skip
         if leader is not None and leader[0] >= size:
-            results[f"{k} follows"] = follower_fit.estimate_line_distance(
+            results[f"{k} follows"] = follower_register_search.estimate_line_distance(
                 leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work
             )
         if leader is None or k % 6 == 0:
             leader = r
         out = np.full(3, 1e-5)
-        follower_fit.compute_rate_misfits(
+        follower_register_search.compute_rate_misfits(
             np.array([fh, fh + 0.5, 8191.0]),
             np.array([r7, r7, 2]),
             4_915_200,

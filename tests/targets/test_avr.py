@@ -15,7 +15,7 @@ from stage.board import Board, HostError, HostTimeout, LibraryError, NativeHost,
 from stage.chips import PCL240MK
 from stage.cli import main
 from stage.errors import ArgumentError
-from stage.targets import TargetHost, mcus
+from stage.targets import TargetHost, supported_processors
 from stage.targets.elf import AVR, Elf
 from stage.targets.simavr import _Library
 
@@ -23,7 +23,9 @@ DATA = Path(__file__).parent / "data"
 FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware"
 PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
 NEAR_ORG = -0.119  # m
-needs_simavr = pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+needs_simavr = pytest.mark.skipif(
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"
+)
 (NO_INSTRUCTION, WILD_WRITE, SLEEPS, WATCHDOG, FIGHT, INTERRUPT, FOR_EVER, NOTHING_WAKES) = range(1, 9)
 NO_ROUTINE = 10
 ADDRESS_SPACE = 1 << 24  # bytes that an address of an AVR reaches, with RAMPZ before Z: of its flash and of its RAM
@@ -245,14 +247,14 @@ def test_a_file_of_another_machine_names_the_machine(tmp_path):
 
 
 def test_without_simavr_the_error_names_the_package(monkeypatch):
-    mcus.load_simavr.cache_clear()
-    monkeypatch.setattr(mcus, "_SIMAVR_FILES", ("libnothing.so",))
+    supported_processors.load_simavr.cache_clear()
+    monkeypatch.setattr(supported_processors, "_SIMAVR_FILES", ("libnothing.so",))
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     try:
-        with pytest.raises(mcus.NoEmulatorError, match="apt install libsimavr2"):
+        with pytest.raises(supported_processors.NoEmulatorError, match="apt install libsimavr2"):
             faults(0)
     finally:
-        mcus.load_simavr.cache_clear()
+        supported_processors.load_simavr.cache_clear()
 
 
 @needs_simavr

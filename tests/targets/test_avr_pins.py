@@ -15,10 +15,10 @@ from stage.board.pin_assignment import parse_pins
 from stage.chips import STEPDIR
 from stage.cli import main
 from stage.errors import ArgumentError
-from stage.targets import TargetHost, mcus, simavr
+from stage.targets import TargetHost, simavr, supported_processors
 
 pytestmark = [
-    pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}"),
+    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
     pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc"),
 ]
 HEAD = r"""

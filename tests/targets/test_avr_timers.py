@@ -27,11 +27,11 @@ from support.avr_timer_scripts import (
 from stage import Stage
 from stage.board import Board
 from stage.errors import StageError
-from stage.targets import TargetHost, mcus, simavr_layout
+from stage.targets import TargetHost, simavr_structure_offsets, supported_processors
 from stage.targets.elf import AVR, Elf
 
 pytestmark = [
-    pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}"),
+    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
     pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc"),
 ]
 each_timer = pytest.mark.parametrize("timer", TIMERS, ids=lambda r: f"timer {r.number}")
@@ -40,9 +40,9 @@ each_timer = pytest.mark.parametrize("timer", TIMERS, ids=lambda r: f"timer {r.n
 def run_on_simavr(elf: Path, n_results: int) -> list[int]:
     """Run a program to its end on simavr with exact timers, and return its results."""
     from stage.targets.simavr import _open_library
-    from stage.targets.simavr_layout import AVR as AVR_STRUCTURE
-    from stage.targets.simavr_layout import view_structure
-    from stage.targets.simavr_overlay import SimavrOverlay
+    from stage.targets.simavr_register_handlers import SimavrOverlay
+    from stage.targets.simavr_structure_offsets import AVR as AVR_STRUCTURE
+    from stage.targets.simavr_structure_offsets import view_structure
 
     simavr = _open_library(False)
     library, avr = simavr.library, simavr.make_avr(b"atmega328p")
@@ -268,19 +268,19 @@ def test_a_uart_without_transmitter_keeps_its_empty_data_register(tmp_path):
 @pytest.mark.parametrize("structure", ["AVR", "MODULE", "TIMER", "IRQ", "UART"])
 @pytest.mark.parametrize("distance", [4, 8, 64])
 def test_a_library_with_another_layout_is_refused_with_its_version(structure, distance, monkeypatch):
-    usual = getattr(simavr_layout, structure)
+    usual = getattr(simavr_structure_offsets, structure)
     formats, offsets = zip(*(usual.fields[name][:2] for name in usual.names), strict=True)
     moved = {"names": usual.names, "formats": formats, "offsets": [at + distance for at in offsets]}
-    monkeypatch.setattr(simavr_layout, structure, np.dtype(moved | {"itemsize": usual.itemsize + distance}))
-    monkeypatch.setattr(simavr_layout, "_checked", {})
+    monkeypatch.setattr(simavr_structure_offsets, structure, np.dtype(moved | {"itemsize": usual.itemsize + distance}))
+    monkeypatch.setattr(simavr_structure_offsets, "_checked", {})
     message = r"simavr\S* is simavr 1\.6 or 1\.7, built in another way, and exact timers need simavr 1\.6 or 1\.7 "
     with pytest.raises(StageError, match=message + r"\(.*\): .* is not where they have it\."):
-        simavr_layout.check_layout(mcus.load_simavr())
+        simavr_structure_offsets.check_layout(supported_processors.load_simavr())
 
 
 @pytest.mark.parametrize("address", [0, 8, 1 << 40, (1 << 64) - 64])
 def test_the_check_of_the_layout_takes_an_address_without_memory(address):
-    assert simavr_layout._read_structure(address, simavr_layout.TIMER) is None
+    assert simavr_structure_offsets._read_structure(address, simavr_structure_offsets.TIMER) is None
 
 
 SEI_PROGRAM = r"""

@@ -9,7 +9,7 @@ import pytest
 from support.target_boards import board_of
 
 from stage.board import LibraryError
-from stage.targets import TargetHost, mcus
+from stage.targets import TargetHost, supported_processors
 from stage.targets.elf import ARM, AVR, Elf, check_arm, get_avr_architecture, read_avr_name, read_mmcu
 
 DATA = Path(__file__).parent / "data"
@@ -30,7 +30,7 @@ def avr(path: Path, mcu: str) -> TargetHost:
     return TargetHost(path, board_of(), mcu=mcu, map=PINS, isolated=False)
 
 
-@pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
 @pytest.mark.parametrize(
     ("name", "architecture", "mcu", "pattern"),
     [
@@ -47,7 +47,7 @@ def test_a_program_of_another_avr_is_refused(tmp_path, name, architecture, mcu, 
         avr(changed_avr(tmp_path, name, architecture), mcu)
 
 
-@pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
 @pytest.mark.parametrize(("name", "architecture"), [(b"atmega2561", 6), (b"", 6), (b"", 2)])
 def test_a_program_of_a_similar_or_unnamed_avr_runs(tmp_path, name, architecture):
     assert avr(changed_avr(tmp_path, name, architecture), "atmega2560").run().code == 0
@@ -59,7 +59,7 @@ def test_architectures_and_names_are_those_of_the_compiler(tmp_path):
     source, built = tmp_path / "e.c", tmp_path / "e.elf"
     source.write_text("int main(void) { return 0; }\n")
     known = 0
-    for mcu in mcus.AVRS:
+    for mcu in supported_processors.AVRS:
         command = ["avr-gcc", f"-mmcu={mcu}", str(source), "-o", str(built)]
         if (
             subprocess.run(command, capture_output=True, check=False).returncode == 0
@@ -79,7 +79,7 @@ def changed_arm(tmp_path: Path, arch: int, profile: bytes = b"M") -> Path:
     return path
 
 
-@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
 @pytest.mark.parametrize(
     ("arch", "profile", "mcu", "pattern"),
     [
@@ -95,7 +95,7 @@ def test_a_program_of_a_larger_cortex_is_refused(tmp_path, arch, profile, mcu, p
         TargetHost(changed_arm(tmp_path, arch, profile), board_of(), mcu=mcu, map=WINDOW, isolated=False)
 
 
-@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
 @pytest.mark.parametrize(("arch", "mcu"), [(10, "cortex-m4"), (11, "cortex-m3")])
 def test_a_program_of_a_smaller_cortex_runs(tmp_path, arch, mcu):
     h = TargetHost(changed_arm(tmp_path, arch), board_of(9), mcu=mcu, map=WINDOW, isolated=False)

@@ -10,13 +10,15 @@ from stage.board import Board, HostError, HostTimeout, LibraryError
 from stage.board.memory_mapped_ports import parse_windows
 from stage.chips import PCL240K, PCL240MK
 from stage.errors import ArgumentError
-from stage.targets import TargetHost, mcus, processor_core
-from stage.targets.cortex import CortexProgram
+from stage.targets import TargetHost, processor_clock_and_bus_cycles, supported_processors
+from stage.targets.cortex_m import CortexProgram
 from stage.targets.nvic import FIRST, PENDSV, SYSTICK, Nvic
 
 DATA = Path(__file__).parent / "data"
 WINDOW = "0x40021000=0x300+0x40"
-pytestmark = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+pytestmark = pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}"
+)
 (NO_INSTRUCTION, WILD_WRITE, NO_WINDOW, SLEEPS, SVC, INTERRUPT, WAITS, FOR_EVER) = range(1, 9)
 WIDE, WRITES_FLASH, INTO_WINDOW, EVEN = range(10, 14)
 
@@ -146,7 +148,7 @@ def test_an_alarm_is_not_delayed_by_the_quantum():
     assert t.quantum > 10
     for ahead in (1, 10, 10 * t.quantum):
         t.alarm = t.cycles + ahead
-        processor_core.poll_from_python.c(t.own)
+        processor_clock_and_bus_cycles.poll_from_python.c(t.own)
         assert t.due - t.cycles == min(ahead, t.quantum)
 
 

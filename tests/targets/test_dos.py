@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stage.targets.dos import Dos
+from stage.targets.dos_and_bios_services import Dos
 from stage.targets.pc_timer import FULL, HZ
 
 CARRY, ZERO = 1, 0x40

@@ -12,9 +12,11 @@ import pytest
 from support.gcode_machine import STEP_M, STEPS_PER_MM, GcodeMachine
 
 from stage import faults
-from stage.targets import mcus
+from stage.targets import supported_processors
 
-pytestmark = pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+pytestmark = pytest.mark.skipif(
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"
+)
 FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware" / "gcode" / "gcode.elf"
 
 

@@ -16,14 +16,16 @@ from support.target_boards import board_of
 
 from stage.board import HostError
 from stage.errors import ArgumentError
-from stage.targets import TargetHost, mcus
+from stage.targets import TargetHost, supported_processors
 from stage.targets.elf import ARM, Elf
 
 DATA = Path(__file__).parent / "data"
 WINDOW = "0x40021000=0x300+0x40"
 FUNCTIONS = Elf(DATA / "faults.m3.elf", ARM, "", "").symbols
 PC, SP = 15, 13
-pytestmark = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+pytestmark = pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}"
+)
 
 
 class Client:

@@ -12,10 +12,10 @@ import pytest
 from stage.board import LibraryError
 from stage.board.memory_mapped_ports import Window
 from stage.errors import ArgumentError
-from stage.targets.cortex import Cortex
+from stage.targets.cortex_m import Cortex
 from stage.targets.elf import check_avr
-from stage.targets.gdb import DebugServer, make_pc_registers
-from stage.targets.pc import PREFIX_SEGMENT, Pc
+from stage.targets.gdb_server import DebugServer, make_pc_registers
+from stage.targets.pc_8086 import PREFIX_SEGMENT, Pc
 from stage.targets.simavr import find_jump_target
 
 

@@ -15,13 +15,13 @@ from support.pages import is_printed, steps
 
 from stage import faults
 from stage.cli import main
-from stage.targets import mcus
+from stage.targets import supported_processors
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "grbl.md"
 GRBL = os.environ.get("PULSESTAGE_GRBL_ELF", "")
 pytestmark = [
     pytest.mark.skipif(not GRBL, reason="PULSESTAGE_GRBL_ELF names no ELF of grbl 1.1h"),
-    pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}"),
+    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
 ]
 PINS = "grbl,z.enable=none"
 SETTINGS = (

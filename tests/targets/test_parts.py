@@ -11,15 +11,15 @@ import pytest
 
 from stage.board import LibraryError
 from stage.errors import ArgumentError
-from stage.targets import avr_core, avr_serial, mcus
-from stage.targets.avr_bus import parse_bus_pins
-from stage.targets.avr_core import PORTS
-from stage.targets.cortex import APPLICATION_ENDS, Semihosting
+from stage.targets import avr_clock_and_pins, avr_serial, supported_processors
+from stage.targets.avr_bus_wiring import parse_bus_pins
+from stage.targets.avr_clock_and_pins import PORTS
+from stage.targets.cortex_m import APPLICATION_ENDS, Semihosting
 from stage.targets.elf import ARM, AVR, Elf, read_machine_name
 from stage.targets.nvic import FIRST, NEVER, PENDSV, SVC, SYSTICK, Nvic
-from stage.targets.pc import Pc
+from stage.targets.pc_8086 import Pc
 from stage.targets.pc_timer import FULL, PcTimer, TimerChannel
-from stage.targets.unicorn_engine import UnicornProcessor
+from stage.targets.unicorn_processor import UnicornProcessor
 
 DATA = Path(__file__).parent / "data"
 
@@ -529,14 +529,14 @@ def test_a_line_without_an_end_is_printed_in_pieces():
 
 
 def test_processor_names_are_case_insensitive():
-    assert [mcus.check_mcu(name) for name in ("ATmega2560", "Cortex-M3")] == ["atmega2560", "cortex-m3"]
+    assert [supported_processors.check_mcu(name) for name in ("ATmega2560", "Cortex-M3")] == ["atmega2560", "cortex-m3"]
 
 
 # --- the pins of an AVR ---
 
 
 def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
-    processor, text, line = np.zeros(1, avr_core.AVR), np.zeros(80, "u1"), np.zeros(1, avr_serial.UART)
+    processor, text, line = np.zeros(1, avr_clock_and_pins.AVR), np.zeros(80, "u1"), np.zeros(1, avr_serial.UART)
     line[0].avr, line[0].text, line[0].room = processor.ctypes.data, text.ctypes.data, 80
     for byte in b"a\rb":
         avr_serial.handle_sent_byte(0, byte, line)

@@ -11,11 +11,13 @@ from stage.board import Board, HostError, HostTimeout, LibraryError
 from stage.chips import MCX304, PCL240K, PCL240MK
 from stage.errors import ArgumentError
 from stage.support.files import FileError
-from stage.targets import NoEmulatorError, TargetHost, mcus
+from stage.targets import NoEmulatorError, TargetHost, supported_processors
 from stage.targets.pc_timer import PcTimer
 
 DATA = Path(__file__).parent / "data"
-needs_unicorn = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+needs_unicorn = pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}"
+)
 (NO_INSTRUCTION, DIVIDES, HALTS, KEY, FUNCTION, INTERRUPT, TICKS, FOR_EVER) = range(1, 9)
 EXIT = "B44C CD21"
 

@@ -23,7 +23,7 @@ from stage.chips import PCL240K
 from stage.cli import main
 from stage.cli.panel import run_in_real_time
 from stage.errors import ArgumentError, RunTimeout, StageError
-from stage.targets import TargetHost, mcus
+from stage.targets import TargetHost, supported_processors
 
 DATA = Path(__file__).parent / "data"
 PAGE = Path(__file__).parents[2] / "docs" / "serial.md"
@@ -36,7 +36,9 @@ BYTE_NS = {
     "115200 8E2": 12 * 8 * 17 * 1e3 / 16,
 }
 """Time of a character from the divisor of the data sheet's table, UBRR + 1, and the clock of 16 MHz."""
-needs_simavr = pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+needs_simavr = pytest.mark.skipif(
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"
+)
 
 
 @pytest.fixture(params=[True, False], ids=["isolated", "in process"])
@@ -154,7 +156,7 @@ PC_ECHO = bytes.fromhex(
 """Sets COM1 to 115200 baud, echoes each byte, and ends with code 5 after a byte 4."""
 
 
-@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
 def test_a_pc_has_a_serial_line_if_a_16550_is_on_its_bus(tmp_path):
     program = tmp_path / "echo.com"
     program.write_bytes(PC_ECHO)
@@ -173,7 +175,7 @@ def test_a_pc_has_a_serial_line_if_a_16550_is_on_its_bus(tmp_path):
         assert host.run(timeout=1).code == 5
 
 
-@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
 def test_a_cortex_without_a_16550_says_how_it_gets_one():
     with (
         TargetHost(

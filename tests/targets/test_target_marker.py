@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from stage.targets import mcus
+from stage.targets import supported_processors
 
 pytest_plugins = ["pytester"]
 DATA = Path(__file__).parent / "data"
@@ -37,7 +37,7 @@ def test_it_enables_motors_by_a_pin(host, stage):
 """
 
 
-@pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
 def test_the_marker_names_the_processor_and_its_pins(pytester):
     for file in (DATA / "faults.avr.elf", GCODE):
         (pytester.path / file.name).write_bytes(file.read_bytes())
@@ -48,14 +48,14 @@ def test_the_marker_names_the_processor_and_its_pins(pytester):
 
 
 def test_without_the_emulator_it_is_skipped(pytester, monkeypatch):
-    mcus.load_simavr.cache_clear()
-    monkeypatch.setattr(mcus, "_SIMAVR_FILES", ())
+    supported_processors.load_simavr.cache_clear()
+    monkeypatch.setattr(supported_processors, "_SIMAVR_FILES", ())
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     (pytester.path / "faults.avr.elf").write_bytes(b"")
     pytester.makepyfile(TESTS)
     result = pytester.runpytest_inprocess(
         "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-rs", "-k", "runs"
     )
-    mcus.load_simavr.cache_clear()
+    supported_processors.load_simavr.cache_clear()
     result.assert_outcomes(skipped=1, deselected=3)
     result.stdout.fnmatch_lines(["*there is no simavr (Debian: apt install libsimavr2)*"])

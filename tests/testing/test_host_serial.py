@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from stage.targets import mcus
+from stage.targets import supported_processors
 
 pytest_plugins = ["pytester"]
 DATA = Path(__file__).parents[1] / "targets" / "data"
@@ -26,7 +26,7 @@ def test_it_is_silent(host):
 """
 
 
-@pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
 def test_a_test_writes_and_reads_by_the_serial_line(pytester):
     (pytester.path / "serial.avr.elf").write_bytes((DATA / "serial.avr.elf").read_bytes())
     pytester.makepyfile(TESTS)

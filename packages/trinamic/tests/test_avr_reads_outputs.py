@@ -7,10 +7,10 @@ import pytest
 
 from stage import Drive, Stage
 from stage.board import Board
-from stage.targets import TargetHost, mcus
+from stage.targets import TargetHost, supported_processors
 
 pytestmark = [
-    pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}"),
+    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
     pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc"),
 ]
 FIND_FIRST_STEP_WITH_INDEX = """

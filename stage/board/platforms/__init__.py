@@ -18,7 +18,7 @@ from stage.board.platforms.arduino_library_folder import (
     read_arduino_library,
     suggest_dependencies,
 )
-from stage.board.platforms.arduino_sketch import SKETCHES, list_sketch_files, translate_sketch
+from stage.board.platforms.arduino_sketch_to_cpp import SKETCHES, list_sketch_files, translate_sketch
 from stage.errors import ArgumentError, unknown_name_error
 
 FOLDER = Path(__file__).parent

@@ -2,7 +2,7 @@
 
 `run` jumps from event to event; between two events the pulses are computed in closed form. An event is the end of a drive or of a
 piece of its profile, a counter that reaches a compared value, an input that passes its filter, the end of a timer, or a bus write.
-single_axis_drive.py has the drive of one axis, pulse_timing.py the clocks of its pulses, pulse_trace.py their order for a
+single_axis_drive.py has the drive of one axis, profile_evaluation.py the clocks of its pulses, pulse_trace.py their order for a
 trace.
 """
 
@@ -20,13 +20,13 @@ from stage.chips.nova.interpolation import interpolator as interpolation
 from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.motion import pulse_trace, single_axis_drive
 from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
+from stage.chips.nova.motion.profile_evaluation import compute_speed
 from stage.chips.nova.motion.pulse_output import (
     compute_pulse_pins,
     compute_pulse_width,
     compute_resting_pins,
     find_pulse_end,
 )
-from stage.chips.nova.motion.pulse_timing import compute_speed
 from stage.chips.nova.motion.pulse_trace import EDGE_MARGIN, find_scan_stop, write_edge
 from stage.chips.nova.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, greatest, hot, least

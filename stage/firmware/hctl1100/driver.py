@@ -14,7 +14,7 @@ import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, ExceededLimit, RunTimeout
-from stage.firmware import operation_pattern
+from stage.firmware import move_plot_signals
 from stage.firmware.axis import get_forward_direction, has_positive_logic
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving
 from stage.firmware.hctl1100.chip_port import CONTROL, IDLE, LIMIT, MODE_FLAGS, SET_FLAG_BIT, STOP, ChipPort
@@ -35,8 +35,8 @@ from stage.firmware.hctl1100.position_streaming import stream_positions, synchro
 from stage.firmware.hctl1100.servo_loop_model import DEFAULT_POLE, ServoLoop, design_filter
 from stage.firmware.home_program import HomeProgram
 from stage.firmware.line_programs import compute_peak_rate
+from stage.firmware.move_plot_signals import BLUE, GREEN, GREY, RED
 from stage.firmware.move_report import ProcedureObserver, Report
-from stage.firmware.operation_pattern import BLUE, GREEN, GREY, RED
 from stage.firmware.parameter_ranges import ParameterRanges
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import LineObserver, SynchronizedReport
@@ -48,7 +48,7 @@ MAX_SAMPLES = 10_000_000  # of a line, whose command positions are computed befo
 LIMIT_SWITCHES = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
 
 
-class Hctl1100Pattern(operation_pattern.OperationPattern):
+class Hctl1100Pattern(move_plot_signals.OperationPattern):
     """Signals and commands of an HCTL-1100 that the plot of a report shows."""
 
     LANES = (

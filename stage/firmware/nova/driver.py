@@ -10,7 +10,7 @@ import numpy as np
 
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, ExceededLimit, add_article
-from stage.firmware import operation_pattern
+from stage.firmware import move_plot_signals
 from stage.firmware.axis import has_positive_logic
 from stage.firmware.driver import (
     SETTLING_TIME_S,
@@ -22,11 +22,11 @@ from stage.firmware.driver import (
 )
 from stage.firmware.home_program import HomeProgram
 from stage.firmware.line_programs import LineMoves, LinePrograms, LineSettings, create_line_programs
+from stage.firmware.move_plot_signals import AMBER, BLUE, GREEN, GREY, RED, VIOLET
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.nova.chip_port import ChipPort
 from stage.firmware.nova.home_program import HomeSearchProgram
 from stage.firmware.nova.line_programs import InterpolatedLinePrograms, NovaLinePrograms, RangeRatioLinePrograms
-from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
 from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.stop_reasons import ANOTHER_AXIS, UNKNOWN, UNWANTED_REASONS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
@@ -52,7 +52,7 @@ def _check_start_speed(speeds: Speeds, low: float = 0.0) -> None:
         ).with_limit(ExceededLimit("start_speed", speeds.start, low, speeds.drive))
 
 
-class NovaPattern(operation_pattern.OperationPattern):
+class NovaPattern(move_plot_signals.OperationPattern):
     """Signals and commands of a NOVA chip that the plot of a report shows."""
 
     LANES = (

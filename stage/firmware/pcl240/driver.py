@@ -17,8 +17,9 @@ from stage.firmware.pcl240 import chip_port, moves
 from stage.firmware.pcl240.chip_port import ChipPort, require_clock
 from stage.firmware.pcl240.home_program import FourRunHomeProgram
 from stage.firmware.pcl240.line_programs import RatioLinePrograms
-from stage.firmware.pcl240.operation_pattern import Pcl240Pattern
+from stage.firmware.pcl240.move_plot_signals import Pcl240Pattern
 from stage.firmware.pcl240.origin_return import APPROACH_RATE_PPS, origin_return
+from stage.firmware.pcl240.procedure_observer import find_present_stop_cause, find_stop_reason
 from stage.firmware.pcl240.rate_change_moves import dual_rate_move
 from stage.firmware.pcl240.speed_profile import (
     MAX_SPEED_STEPS,
@@ -26,7 +27,6 @@ from stage.firmware.pcl240.speed_profile import (
     compute_pulse_rate,
     get_default_second_rate,
 )
-from stage.firmware.pcl240.stop_reason import find_present_stop_cause, find_stop_reason
 from stage.firmware.pcl240.synchronized_move import synchronized_move
 from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.program import Operations

@@ -1,9 +1,9 @@
 """Plan of an a:b move: registers with which all axes start and stop together, at rates in the ratio of their distances.
 
 The data sheet's scheme (Q & A) demands FL and FH in the ratio a:b and equal ramp times. The longest axis is the leader: its
-registers come from the requested rates and times (leader_search.py). Every other axis is a follower: its R7 is free, so it can
-choose from a thousand grids of rates (follower_fit.py). `plan` runs the best registers of each follower on emulated chips and
-takes those whose pulses are closest to the line.
+registers come from the requested rates and times (line_register_search.py). Every other axis is a follower: its R7 is free, so it
+can choose from a thousand grids of rates (follower_register_search.py). `plan` runs the best registers of each follower on emulated
+chips and takes those whose pulses are closest to the line.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, ExceededLimit, add_article, unknown_name_error
 from stage.firmware.line_programs import MAX_RAMP_SHARE, compute_peak_rate
 from stage.firmware.path_deviation import compute_path_deviation, compute_perfect_deviation
-from stage.firmware.pcl240 import follower_fit
-from stage.firmware.pcl240.leader_search import (
+from stage.firmware.pcl240 import follower_register_search
+from stage.firmware.pcl240.emulated_preset_move import ROW_REGISTERS, compute_ramp_down_offset, trace_row
+from stage.firmware.pcl240.line_register_search import (
     AS_LEADER,
     MAX_R7,
     MAX_SPEED,
@@ -35,7 +36,6 @@ from stage.firmware.pcl240.leader_search import (
     search_registers,
 )
 from stage.firmware.pcl240.preset_move_closed_form import fill_motion
-from stage.firmware.pcl240.register_row_pulses import ROW_REGISTERS, compute_ramp_down_offset, trace_row
 from stage.firmware.pcl240.speed_profile import DEFAULT_RAMP_TIME_S, FH1, FL, compute_ramp_seconds
 from stage.support.argument_checks import explain_arguments
 
@@ -114,7 +114,7 @@ class AxisPlan:
 
     @property
     def row(self) -> np.ndarray:
-        """Row of registers for follower_fit.py."""
+        """Row of registers for follower_register_search.py."""
         return np.array([*(self.registers | {"R6": self.down_point}).values()], np.int64)
 
 
@@ -441,10 +441,10 @@ def _evaluate_rows(distances: dict[str, int], rows: dict, kinds: dict, automatic
         deviation = compute_path_deviation(paths, [abs(d) for d in distances.values()]).pulses
     else:
         leader = order[-1]
-        squares, work = 0.0, np.zeros(1, follower_fit.WORK_DTYPE)
+        squares, work = 0.0, np.zeros(1, follower_register_search.WORK_DTYPE)
         for n in order[:-1]:
             squares += (
-                follower_fit.estimate_line_distance(
+                follower_register_search.estimate_line_distance(
                     rows[leader], axes[leader].clock_hz, rows[n], axes[n].clock_hz, lead[n], work
                 )
                 ** 2

@@ -16,8 +16,8 @@ from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.chip_port import ChipPort, check_chip_family, describe_leader, require_clock
+from stage.firmware.pcl240.procedure_observer import Pcl240Observer
 from stage.firmware.pcl240.speed_profile import Profile
-from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.support.argument_checks import check_timeout, explain_arguments
 
 AUTOMATIC_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached

@@ -16,8 +16,8 @@ from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, write_move_setup
+from stage.firmware.pcl240.procedure_observer import Pcl240Observer
 from stage.firmware.pcl240.speed_profile import Profile
-from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.support.argument_checks import check_timeout, explain_arguments
 
 BACK_OFF_PULSES = 200  # pulses beyond the release of ORG

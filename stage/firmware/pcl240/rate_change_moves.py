@@ -24,8 +24,8 @@ from stage.firmware.pcl240.moves import (
     encode_direction,
     write_move_setup,
 )
+from stage.firmware.pcl240.procedure_observer import Pcl240Observer
 from stage.firmware.pcl240.speed_profile import Profile, compute_down_point, compute_ramp_pulses
-from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.support.argument_checks import explain_arguments
 
 MAX_RAMP_S = 60.0  # R4 and R5 make no more than 27

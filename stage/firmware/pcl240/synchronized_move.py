@@ -19,8 +19,8 @@ from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.chip_port import check_chip_family, describe_leader, require_clock
 from stage.firmware.pcl240.line_plan import Plan, plan
 from stage.firmware.pcl240.moves import SETTLING_TIME_S
+from stage.firmware.pcl240.procedure_observer import Pcl240Observer
 from stage.firmware.pcl240.speed_profile import DEFAULT_RAMP_TIME_S, FH1, FL
-from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.firmware.synchronized_report import LineObserver, SynchronizedReport, select_axes
 from stage.support.argument_checks import check_timeout, explain_arguments
 

@@ -9,7 +9,7 @@ from stage.chips.journal import Journal
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, END_REASONS, MAP
 from stage.chips.stepdir.step_timer import AT_ONCE, SLOW
 from stage.errors import ArgumentError, ExceededLimit
-from stage.firmware import operation_pattern
+from stage.firmware import move_plot_signals
 from stage.firmware.driver import (
     SETTLING_TIME_S,
     Driver,
@@ -20,8 +20,8 @@ from stage.firmware.driver import (
 )
 from stage.firmware.home_program import HomeProgram
 from stage.firmware.line_programs import LinePrograms
+from stage.firmware.move_plot_signals import BLUE, GREEN, GREY, RED
 from stage.firmware.move_report import ProcedureObserver, Report
-from stage.firmware.operation_pattern import BLUE, GREEN, GREY, RED
 from stage.firmware.stepdir.home_program import OrgHomeProgram
 from stage.firmware.stepdir.line_programs import BresenhamLinePrograms
 from stage.firmware.stop_reasons import ANOTHER_AXIS
@@ -36,7 +36,7 @@ BACK_OFF_STEPS = 400
 MAX_BACK_OFFS = 200
 
 
-class StepDirPattern(operation_pattern.OperationPattern):
+class StepDirPattern(move_plot_signals.OperationPattern):
     """Signals of a STEP/DIR axis that the plot of a report shows."""
 
     LANES = (

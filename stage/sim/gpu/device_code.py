@@ -49,7 +49,7 @@ class CompilerTools:
         device: Compiles a function to a device function, which kernels call.
         kernel: Compiles a function to a kernel.
         replaced: Function of stage.native -> the device function that replaces it.
-        lane_names: Name -> object of the additional names in the copy of lane_program.py.
+        lane_names: Name -> object of the additional names in the copy of lane_kernel.py.
     """
 
     device: Callable[[FunctionType], Any]

@@ -19,7 +19,7 @@ from stage.drives.stepper import DRIVE
 from stage.errors import ArgumentError, GpuMissing, StageError
 from stage.sim import engine_records, fleet, program_player
 from stage.sim.gpu.device_code import FEATURE_NAME, CompilerTools, DeviceModules, make_cuda_tools
-from stage.sim.gpu.lane_layout import HOST, WARP, LaneLayout
+from stage.sim.gpu.lane_memory_layout import HOST, WARP, LaneLayout
 from stage.sim.gpu.warp_physics import WarpPhysics, load_warp
 from stage.sim.program import Program
 from stage.sim.stage import Stage
@@ -279,5 +279,5 @@ def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: CompilerTo
     names = {name: dtype.itemsize // 8 * n for name, (dtype, n) in dtypes.items()}
     names |= {"STATE": state, "DRIVE": DRIVE, "LANES": lanes, "AXES": axes, "SWITCHES": switches}
     names |= {"BUS": bus, "ENCODERS": bool(encoders), **tools.lane_names}
-    module = modules.copy_module("stage.sim.gpu.lane_program", names)
+    module = modules.copy_module("stage.sim.gpu.lane_kernel", names)
     return tuple(modules.compile_function(name, module, tools.kernel) for name in ("advance_lanes", "inspect_lanes"))

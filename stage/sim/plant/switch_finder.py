@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 
 from stage.sim import flag_distances as flag_scan
-from stage.sim import libmujoco, mujoco_callbacks
+from stage.sim import mujoco_callbacks
 from stage.sim.engine_records import PINS
+from stage.sim.mujoco_function_addresses import find_mujoco_address
 from stage.sim.plant.model_errors import ModelProblems, format_pair_line, format_sensor_line, suggest_name
 
 MIN_LOOKAHEAD_M = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
@@ -244,8 +245,8 @@ class SwitchFinder:
         both = np.array(pairs, np.int32).reshape(-1, 2)
         self.data.qpos[:] = self.model.qpos0
         flag_scan.measure_distances(
-            libmujoco.find_mujoco_address("mj_kinematics"), libmujoco.find_mujoco_address("mj_geomDistance"), self.model._address,
-            self.data._address, self.data.qpos, int(self.model.jnt_qposadr[joint]), positions, both, out,
+            find_mujoco_address("mj_kinematics"), find_mujoco_address("mj_geomDistance"), self.model._address, self.data._address,
+            self.data.qpos, int(self.model.jnt_qposadr[joint]), positions, both, out,
         )  # fmt: skip
         return out
 

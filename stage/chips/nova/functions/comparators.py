@@ -8,7 +8,7 @@ from __future__ import annotations
 from stage.chips.nova.functions import encoder, timer
 from stage.chips.nova.functions.input_pins import UP_DOWN
 from stage.chips.nova.motion import counters, rate_registers, single_axis_drive
-from stage.chips.nova.motion.pulse_timing import find_speed_crossing
+from stage.chips.nova.motion.profile_evaluation import find_speed_crossing
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, MRM, NEVER, RP, RX, SM, SP

@@ -13,9 +13,9 @@ from stage.chips.nova.functions import synchronous_actions
 from stage.chips.nova.interpolation import segment
 from stage.chips.nova.motion import counters, rate_registers, single_axis_drive
 from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion.profile_evaluation import compute_speed, find_piece
 from stage.chips.nova.motion.profile_planner import begin_plan_at, plan_stop
 from stage.chips.nova.motion.pulse_output import compute_pulse_width
-from stage.chips.nova.motion.pulse_timing import compute_speed, find_piece
 from stage.chips.nova.registers.mcx300 import MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.native import exported, greatest, hot, least

@@ -9,6 +9,7 @@ from stage.chips.nova.interpolation import helix as helical
 from stage.chips.nova.interpolation import line as linear
 from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion import rate_registers, single_axis_drive
+from stage.chips.nova.motion.profile_evaluation import PLACE_TOLERANCE, compute_exact_place, compute_time_in_piece
 from stage.chips.nova.motion.profile_planner import (
     CURSOR_PLACE,
     append_braking,
@@ -18,7 +19,6 @@ from stage.chips.nova.motion.profile_planner import (
     plan_endless_drive,
     plan_fixed_drive,
 )
-from stage.chips.nova.motion.pulse_timing import PLACE_TOLERANCE, compute_exact_place, compute_time_in_piece
 from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP
 from stage.chips.nova.state import AO, AXES, AXIS, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES, STATE
 from stage.native import exported, greatest, hot, least

@@ -14,7 +14,7 @@ speed and the acceleration 0.
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.pulse_timing import NEVER, compute_exact_place, compute_time_in_piece, find_piece
+from stage.chips.nova.motion.profile_evaluation import NEVER, compute_exact_place, compute_time_in_piece, find_piece
 from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, MAX_PIECES, RUNAWAY
 from stage.native import hot
 

@@ -13,7 +13,7 @@ pulse goes off; A and B begin a period at a reset.
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.pulse_timing import compute_speed, find_clock_of_pulse
+from stage.chips.nova.motion.profile_evaluation import compute_speed, find_clock_of_pulse
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import DIR, MCX514_TYPE, PLS

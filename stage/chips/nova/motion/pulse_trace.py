@@ -3,13 +3,13 @@
 At a constant speed of a whole number of pulses per second the pulses are evenly spaced, CLOCKS_PER_SECOND / pps clocks apart,
 which integers count exactly as Bresenham's algorithm does: `even_rest` is the distance by which the position at the clock of a
 pulse exceeds its number, in pulses / CLOCKS_PER_SECOND, rounded down. If it falls below 0 the pulse comes one clock later. So
-each pulse has the clock that pulse_timing.py would compute.
+each pulse has the clock that profile_evaluation.py would compute.
 """
 
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.pulse_timing import (
+from stage.chips.nova.motion.profile_evaluation import (
     CLOCKS_PER_SECOND,
     PLACE_TOLERANCE,
     compute_exact_place,

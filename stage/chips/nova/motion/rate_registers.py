@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.nova import state
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.pulse_timing import CLOCKS_PER_SECOND, compute_acceleration, compute_speed
+from stage.chips.nova.motion.profile_evaluation import CLOCKS_PER_SECOND, compute_acceleration, compute_speed
 from stage.native import greatest, hot, least
 
 RANGE = 8_000_000

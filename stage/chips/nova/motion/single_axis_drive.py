@@ -6,8 +6,8 @@ from stage.chips.nova import state
 from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion import profile_planner
 from stage.chips.nova.motion.counters import NO_MAXIMUM, add_pulses, has_passed_soft_limit, is_limit_asserted
+from stage.chips.nova.motion.profile_evaluation import count_begun_pulses, find_clock_of_pulse, find_phase, find_piece
 from stage.chips.nova.motion.pulse_output import store_pulse_end
-from stage.chips.nova.motion.pulse_timing import count_begun_pulses, find_clock_of_pulse, find_phase, find_piece
 from stage.chips.nova.motion.rate_registers import RANGE, load_drive_speed, load_rates
 from stage.native import exported, greatest, hot, least
 

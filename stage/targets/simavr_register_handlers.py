@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from stage.native import Exported, address_of
-from stage.targets import avr_timers, avr_transmitter, simavr_layout
-from stage.targets.avr_core import PORTS
+from stage.targets import avr_timers, avr_uart_data_register_flag, simavr_structure_offsets
+from stage.targets.avr_clock_and_pins import PORTS
 from stage.targets.avr_timers import CAPTURE, N_UNITS, ORIGINAL, SIMAVR, TIMER, UNIT, VECTOR
-from stage.targets.simavr_layout import get_offset, unpack_bit_mask, unpack_register_address, view_structure
+from stage.targets.simavr_structure_offsets import get_offset, unpack_bit_mask, unpack_register_address, view_structure
 
 RESPONSE, THREE_BYTE_FLASH = 4, 0x20000
 """Cycles from an interrupt to its vector, and the size of the flash (bytes) from which the return address takes one more."""
@@ -42,13 +42,13 @@ class SimavrOverlay:
     """
 
     def __init__(self, library: ctypes.CDLL, avr: int):
-        simavr_layout.check_layout(library)
-        self._library, self._avr = library, view_structure(avr, simavr_layout.AVR)
+        simavr_structure_offsets.check_layout(library)
+        self._library, self._avr = library, view_structure(avr, simavr_structure_offsets.AVR)
         self._pointers: list[Any] = []
-        modules = simavr_layout.list_modules_of(library, avr, "tmr")
-        timers = [t for t in modules if _is_known_timer(view_structure(t, simavr_layout.TIMER))]
+        modules = simavr_structure_offsets.list_modules_of(library, avr, "tmr")
+        timers = [t for t in modules if _is_known_timer(view_structure(t, simavr_structure_offsets.TIMER))]
         self._simavr, self._timers = np.zeros(1, SIMAVR), np.zeros(len(timers), TIMER)
-        self._names = [chr(view_structure(t, simavr_layout.TIMER)["name"]) for t in timers]
+        self._names = [chr(view_structure(t, simavr_structure_offsets.TIMER)["name"]) for t in timers]
         self._units = np.zeros((len(timers), N_UNITS), UNIT)
         self._vectors = np.zeros((len(timers), N_VECTORS), VECTOR)
         self._originals: list[np.ndarray] = []
@@ -56,7 +56,7 @@ class SimavrOverlay:
         for k, address in enumerate(timers):
             self._fill_timer(k, address)
         for k, address in enumerate(timers):
-            self._connect_timer(self._timers[k : k + 1], view_structure(address, simavr_layout.TIMER))
+            self._connect_timer(self._timers[k : k + 1], view_structure(address, simavr_structure_offsets.TIMER))
         self._connect_interrupts()
         self._connect_responses(avr)
         self._connect_uarts(avr)
@@ -77,7 +77,7 @@ class SimavrOverlay:
         row = self._simavr[0]
         row["avr"] = avr
         for name in ("cycle", "cycles_left", "pc"):
-            row[name] = avr + get_offset(simavr_layout.AVR, name)
+            row[name] = avr + get_offset(simavr_structure_offsets.AVR, name)
         row["memory"], row["flash"] = self._avr["data"], self._avr["flash"]
         row["vectors"], row["n_vectors"] = self._vectors.ctypes.data, self._vectors.size
         row["response"] = RESPONSE + (int(self._avr["flash_end"]) >= THREE_BYTE_FLASH)
@@ -92,7 +92,7 @@ class SimavrOverlay:
 
     def _fill_timer(self, k: int, address: int) -> None:
         """Fill the TIMER record number `k` for the timer of simavr at an address."""
-        timer, row = view_structure(address, simavr_layout.TIMER), self._timers[k]
+        timer, row = view_structure(address, simavr_structure_offsets.TIMER), self._timers[k]
         row["own"], row["simavr"] = address_of(self._timers[k : k + 1]), self._simavr.ctypes.data
         row["units"] = self._units[k].ctypes.data
         for name in ("count_low", "count_high", "capture_edge", "asynchronous", "modes", "clocks", "shifts"):
@@ -101,16 +101,16 @@ class SimavrOverlay:
         row["has_external_clock"] = unpack_register_address(timer["clock_pin"]) != 0
         row["maximum"] = row["top"] = 0xFFFF if timer["count_high"] else 0xFF
         if timer["icr_high"]:
-            row["capture_irq"] = simavr_layout.find_capture_irq(address)
+            row["capture_irq"] = simavr_structure_offsets.find_capture_irq(address)
         row["strobes"], row["strobe_mask"] = _find_force_compare_bits(timer)
-        compare = address + get_offset(simavr_layout.TIMER, "compare")
-        places = [compare + n * simavr_layout.COMPARE.itemsize for n in range(CAPTURE)]
-        places += [address + get_offset(simavr_layout.TIMER, name) for name in ("overflow", "capture")]
+        compare = address + get_offset(simavr_structure_offsets.TIMER, "compare")
+        places = [compare + n * simavr_structure_offsets.COMPARE.itemsize for n in range(CAPTURE)]
+        places += [address + get_offset(simavr_structure_offsets.TIMER, name) for name in ("overflow", "capture")]
         vectors = [self._fill_vector(k, n, place) for n, place in enumerate(places)]
         row["overflow"], row["capture"] = vectors[CAPTURE:]
         for n, unit in enumerate(timer["compare"]):
             pin = unit["pin"] if unpack_register_address(unit["pin"]) else 0
-            irq = simavr_layout.find_output_irq(address, n)
+            irq = simavr_structure_offsets.find_output_irq(address, n)
             self._units[k, n] = unit["low"], unit["high"], 0, 0, vectors[n], unit["mode"], pin, irq, 0
         self._units[k, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0, 0)
 
@@ -120,10 +120,10 @@ class SimavrOverlay:
         Returns:
             Address of the record, or 0 if there is no such interrupt.
         """
-        vector, row = view_structure(address, simavr_layout.VECTOR), self._vectors[k, n : n + 1]
+        vector, row = view_structure(address, simavr_structure_offsets.VECTOR), self._vectors[k, n : n + 1]
         if not vector["number"] or not unpack_register_address(vector["flag"]):
             return 0
-        pending = address + get_offset(simavr_layout.VECTOR, "pending")
+        pending = address + get_offset(simavr_structure_offsets.VECTOR, "pending")
         bits = [get(vector[name]) for name in ("enable", "flag") for get in (unpack_register_address, unpack_bit_mask)]
         row[0] = (self._timers[k]["own"], address, pending, *bits)
         return address_of(row)
@@ -143,7 +143,7 @@ class SimavrOverlay:
                 writes[int(row[0]["strobes"])] = avr_timers.write_strobes
         originals = np.zeros(len(writes), ORIGINAL)
         for k, (register, function) in enumerate(writes.items()):
-            functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
+            functions = self._avr["registers"][register - simavr_structure_offsets.REGISTER_BEGIN]
             originals[k] = register, functions["write"], functions["write_parameter"]
             functions["write"], functions["write_parameter"] = self._get_address(function), row[0]["own"]
         self._originals.append(originals)
@@ -152,7 +152,7 @@ class SimavrOverlay:
 
     def _connect_reads(self, row: np.ndarray, timer: Any) -> None:
         """Replace the functions that read the count and capture registers of a timer."""
-        functions = self._avr["registers"][int(timer["count_low"]) - simavr_layout.REGISTER_BEGIN]
+        functions = self._avr["registers"][int(timer["count_low"]) - simavr_structure_offsets.REGISTER_BEGIN]
         row["read"], row["read_parameter"] = functions["read"], functions["read_parameter"]
         reads = {int(timer["count_low"]): avr_timers.read_count}
         if timer["count_high"]:
@@ -163,7 +163,7 @@ class SimavrOverlay:
                 int(timer["icr_high"]): avr_timers.read_high_byte,
             }
         for register, function in reads.items():
-            functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
+            functions = self._avr["registers"][register - simavr_structure_offsets.REGISTER_BEGIN]
             functions["read"], functions["read_parameter"] = self._get_address(function), row[0]["own"]
 
     def _connect_interrupts(self) -> None:
@@ -172,7 +172,7 @@ class SimavrOverlay:
         vectors = vectors[vectors["vector"] != 0]
         for field, function in (("enable", avr_timers.write_enables), ("flag", avr_timers.write_flags)):
             for register in {int(row[field]) for row in vectors} - {0}:
-                functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
+                functions = self._avr["registers"][register - simavr_structure_offsets.REGISTER_BEGIN]
                 functions["write"], functions["write_parameter"] = self._get_address(function), self._simavr.ctypes.data
                 if field == "flag":
                     functions["read"], functions["read_parameter"] = (
@@ -181,7 +181,7 @@ class SimavrOverlay:
         for k in range(self._vectors.size):
             vector = self._vectors.reshape(-1)[k : k + 1]
             if vector[0]["vector"]:
-                irq = int(vector[0]["vector"]) + get_offset(simavr_layout.VECTOR, "irq")
+                irq = int(vector[0]["vector"]) + get_offset(simavr_structure_offsets.VECTOR, "irq")
                 self._register_callback(irq, avr_timers.clear_served_flag, vector)
         for k in range(len(self._timers)):
             if self._timers[k]["capture_irq"]:
@@ -195,24 +195,26 @@ class SimavrOverlay:
         get.restype = ctypes.c_void_p
         for number in range(1, 128):
             if irq := get(ctypes.c_void_p(avr), ctypes.c_uint8(number)):
-                self._register_callback(irq + simavr_layout.IRQ.itemsize, avr_timers.spend_response_time, self._simavr)
+                self._register_callback(
+                    irq + simavr_structure_offsets.IRQ.itemsize, avr_timers.spend_response_time, self._simavr
+                )
 
     def _connect_uarts(self, avr: int) -> None:
         """Replace the functions that write the transmitter enable bits of the UARTs."""
-        modules = simavr_layout.list_modules_of(self._library, avr, "uar")
-        self._uarts = np.zeros(len(modules), avr_transmitter.TRANSMITTER)
+        modules = simavr_structure_offsets.list_modules_of(self._library, avr, "uar")
+        self._uarts = np.zeros(len(modules), avr_uart_data_register_flag.TRANSMITTER)
         for k, address in enumerate(modules):
-            uart = view_structure(address, simavr_layout.UART)
+            uart = view_structure(address, simavr_structure_offsets.UART)
             register = unpack_register_address(uart["transmitter"])
             if not register or not uart["empty"]["number"]:
                 continue
-            functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
-            flag, vector = uart["empty"]["flag"], address + get_offset(simavr_layout.UART, "empty")
+            functions = self._avr["registers"][register - simavr_structure_offsets.REGISTER_BEGIN]
+            flag, vector = uart["empty"]["flag"], address + get_offset(simavr_structure_offsets.UART, "empty")
             self._uarts[k] = (
                 self._simavr.ctypes.data, functions["write"], functions["write_parameter"], uart["transmitter"], vector,
                 unpack_register_address(flag), unpack_bit_mask(flag),
             )  # fmt: skip
-            functions["write"] = self._get_address(avr_transmitter.write_transmitter_enable)
+            functions["write"] = self._get_address(avr_uart_data_register_flag.write_transmitter_enable)
             functions["write_parameter"] = address_of(self._uarts[k : k + 1])
 
     def _register_callback(self, irq: int, function: Exported, row: np.ndarray) -> None:
@@ -222,7 +224,7 @@ class SimavrOverlay:
 
 
 def find_port_of_register(register: int) -> int:
-    """Return the number, in avr_core.PORTS, of the port that has a PORT register at an address in memory."""
+    """Return the number, in avr_clock_and_pins.PORTS, of the port that has a PORT register at an address in memory."""
     first, step = (PORT_A, 0) if register < PORT_H else (PORT_H, PORTS.index("H"))
     return step + (register - first) // 3
 

@@ -39,7 +39,7 @@ class LaneLayout:
         axes: Largest number of axes of a lane.
         switches: Largest number of switches of a lane.
         words: Number of 8-byte words of a lane.
-        rows, axis_numbers, places, tables, switch_tables: Arguments of the kernel, see `lane_program.advance_lanes`.
+        rows, axis_numbers, places, tables, switch_tables: Arguments of the kernel, see `lane_kernel.advance_lanes`.
     """
 
     def __init__(self, stage: Stage):

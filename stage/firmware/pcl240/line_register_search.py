@@ -14,7 +14,7 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
-from stage.firmware.pcl240 import follower_fit
+from stage.firmware.pcl240 import follower_register_search
 from stage.firmware.pcl240.preset_move_closed_form import compute_ramp_stretch, set_s_curve_registers
 
 LONG = 500_000  # pulses
@@ -116,7 +116,7 @@ class Candidates(NamedTuple):
 def search_registers(
     move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
 ) -> tuple[np.ndarray, dict[str, Candidates]]:
-    """Choose rows of registers (see follower_fit.py) for the leader and its followers.
+    """Choose rows of registers (see follower_register_search.py) for the leader and its followers.
 
     The search ends at the first rows that are as close to the line as possible; otherwise it returns the best of all.
 
@@ -133,7 +133,7 @@ def search_registers(
         ArgumentError: No registers make the ramps.
     """
     best: tuple[np.ndarray, dict[str, Candidates]] | None = None
-    least, work = np.inf, np.zeros(1, follower_fit.WORK_DTYPE)
+    least, work = np.inf, np.zeros(1, follower_register_search.WORK_DTYPE)
     for bare in _list_leaders(move, hz, widths, followers):
         rises: dict[str, np.ndarray] = {}
         for leader in _vary_tail_lengths(bare, hz, widths.point):
@@ -141,15 +141,16 @@ def search_registers(
             for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
                 only = int(leader[7]) if multiplier == AS_LEADER else multiplier
                 if name not in rises:
-                    rises[name] = np.zeros((follower_fit.MAX_CANDIDATES, size), np.int64)
-                    scores = np.empty(follower_fit.MAX_CANDIDATES)
-                    follower_fit.fit_accelerations(
+                    rises[name] = np.zeros((follower_register_search.MAX_CANDIDATES, size), np.int64)
+                    scores = np.empty(follower_register_search.MAX_CANDIDATES)
+                    follower_register_search.fit_accelerations(
                         leader, hz, d, own_hz, lead, move.share, rate, only, scores, rises[name], work
                     )
                 candidates[name] = Candidates(
-                    np.zeros((follower_fit.MAX_BEST_ROWS, size), np.int64), np.empty(follower_fit.MAX_BEST_ROWS)
+                    np.zeros((follower_register_search.MAX_BEST_ROWS, size), np.int64),
+                    np.empty(follower_register_search.MAX_BEST_ROWS),
                 )
-                follower_fit.fit_decelerations(
+                follower_register_search.fit_decelerations(
                     leader, hz, own_hz, lead, move.automatic, rate, point, rises[name],
                     candidates[name].scores, candidates[name].registers, work,
                 )  # fmt: skip
@@ -199,7 +200,7 @@ def _list_leaders(
     for d, own_hz, _, _, multiplier in followers.values():
         misfit = np.zeros(len(pick))
         least = min(100.0, d / move.length * move.fh * 8192 * MAX_R7 / own_hz / 2)
-        follower_fit.compute_rate_misfits(
+        follower_register_search.compute_rate_misfits(
             high[pick], r7[pick], hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit
         )
         off = np.maximum(off, misfit * d)

@@ -10,9 +10,8 @@ Counts are whole: n = floor(N), so n - rho n_leader lies between E - 1 and E + r
 that pulse strays less, by as much. `fit_accelerations` and `fit_decelerations` look for such followers with every multiplier R7.
 
 The registers of an axis are a row: R0 to R7, and on a chip with S-curves also R14 and R15. R6 in a row is always the number of
-    pulses
-left when the ramp-down begins; with the automatic ramp-down point the chip gets the equivalent offset
-(`register_row_pulses.compute_ramp_down_offset`).
+pulses left when the ramp-down begins; with the automatic ramp-down point the chip gets the equivalent offset
+(`emulated_preset_move.compute_ramp_down_offset`).
 """
 
 from __future__ import annotations

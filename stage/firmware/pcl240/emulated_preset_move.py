@@ -1,6 +1,6 @@
 """Pulses of rows of registers, measured on an emulated chip, and the offset of their automatic ramp-down point.
 
-A row has the registers of one axis of a line, see follower_fit.py.
+A row has the registers of one axis of a line, see follower_register_search.py.
 """
 
 from __future__ import annotations

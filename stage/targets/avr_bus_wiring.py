@@ -20,8 +20,8 @@ import numpy as np
 
 from stage.board.board import Board
 from stage.errors import ArgumentError, unknown_name_error
-from stage.targets import avr_core
-from stage.targets.avr_core import PORTS
+from stage.targets import avr_clock_and_pins
+from stage.targets.avr_clock_and_pins import PORTS
 
 FORM = "data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0"
 KEYS = ("data", "address", "cs", "wr", "rd", "irq", "base")
@@ -66,22 +66,27 @@ class AvrBus:
     def __init__(self, pins: BusPins, avr: Any, board: Board):
         n = len(PORTS)
         self._levels, self._outputs = np.zeros(n, "i8"), np.zeros(n, "i8")
-        none = (avr_core.NO_PIN, 0)
-        self._pins = np.array([p or none for p in (pins.cs, pins.wr, pins.rd, *pins.address)], avr_core.PIN)
+        none = (avr_clock_and_pins.NO_PIN, 0)
+        self._pins = np.array([p or none for p in (pins.cs, pins.wr, pins.rd, *pins.address)], avr_clock_and_pins.PIN)
         self._data = np.array([avr.find_irq(pins.data, bit) for bit in range(8)], "i8")
         self._warning = ctypes.create_string_buffer(
             f"port {PORTS[pins.data]} has output pins while /RD is low: AVR and board both drive the data lines".encode()
         )
-        self._row = np.zeros(1, avr_core.BUS)
+        self._row = np.zeros(1, avr_clock_and_pins.BUS)
         b = self._row[0]
         b.avr, b.warning = avr.record.own, ctypes.addressof(self._warning)
-        b.select, b.write, b.read, b.addresses = (self._pins.ctypes.data + k * avr_core.PIN.itemsize for k in range(4))
+        b.select, b.write, b.read, b.addresses = (
+            self._pins.ctypes.data + k * avr_clock_and_pins.PIN.itemsize for k in range(4)
+        )
         b.n_addresses, b.data_port, b.data_irqs = len(pins.address), pins.data, self._data.ctypes.data
         b.first = min(place.first for place in board.places) if pins.base is None else pins.base
         b.levels, b.outputs, b.was_write = self._levels.ctypes.data, self._outputs.ctypes.data, 1
         used = sorted({pins.data, *(p[0] for p in (pins.cs, pins.wr, pins.rd, *pins.address) if p)})
-        self._ports = np.array([(self._row.ctypes.data, port) for port in used], avr_core.PORT)
-        self._functions = avr_core.store_port_levels.pointer, avr_core.store_port_directions.pointer
+        self._ports = np.array([(self._row.ctypes.data, port) for port in used], avr_clock_and_pins.PORT)
+        self._functions = (
+            avr_clock_and_pins.store_port_levels.pointer,
+            avr_clock_and_pins.store_port_directions.pointer,
+        )
         for k, port in enumerate(used):
             for number, function in zip((PIN_ALL, DIRECTION_ALL), self._functions, strict=True):
                 avr.register_callback(avr.find_irq(port, number), function, self._ports[k : k + 1])

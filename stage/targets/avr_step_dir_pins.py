@@ -12,8 +12,8 @@ from stage.board.board import Board
 from stage.board.pin_assignment import DRIVEN, PinLine, PinUse, WiringFinding, find_wiring_findings
 from stage.chips.stepdir.line_names import POWER_STAGE_OUTPUTS
 from stage.errors import ArgumentError
-from stage.targets import avr_core
-from stage.targets.avr_bus import DIRECTION_ALL, encode_ioctl_request
+from stage.targets import avr_clock_and_pins
+from stage.targets.avr_bus_wiring import DIRECTION_ALL, encode_ioctl_request
 
 PORT_REGISTER = 10
 """The simavr IRQ of a port's PORT register."""
@@ -56,7 +56,8 @@ class AvrLines:
         tables = (value for table in (self._ports, self._read) for value in (table.ctypes.data, len(table)))
         has_chip_outputs = any(line.line in POWER_STAGE_OUTPUTS for line in lines)
         self._row = np.array(
-            [(*tables, avr.find_function_address("avr_ioctl"), has_chip_outputs, avr_core.NEVER)], avr_core.LINES
+            [(*tables, avr.find_function_address("avr_ioctl"), has_chip_outputs, avr_clock_and_pins.NEVER)],
+            avr_clock_and_pins.LINES,
         )
         avr.record.lines = self._row.ctypes.data
 
@@ -74,7 +75,7 @@ class AvrLines:
         ]
         used = {(port, bit) for port, bit, _ in self._places} | self._bus_pins
         others = {
-            f"{avr_core.PORTS[port]}{bit}": int(row["rises"][bit])
+            f"{avr_clock_and_pins.PORTS[port]}{bit}": int(row["rises"][bit])
             for port, row in ports.items()
             for bit in np.flatnonzero(row["rises"]).tolist()
             if (port, bit) not in used
@@ -99,10 +100,13 @@ class AvrLines:
 
     def _connect_driven_lines(self, places: Sequence[PlacedLine], avr: Any) -> None:
         """Watch the pins of all ports, because pins without a line help to find a wrong wiring; see `find_wiring_problems`."""
-        self._port_numbers = [port for port in range(len(avr_core.PORTS)) if avr.has_port(port)]
+        self._port_numbers = [port for port in range(len(avr_clock_and_pins.PORTS)) if avr.has_port(port)]
         self._driven = [self._make_driven_rows([p for p in places if p[0] == port]) for port in self._port_numbers]
-        self._ports = np.zeros(len(self._driven), avr_core.LINE_PORT)
-        self._functions = avr_core.drive_line_levels.pointer, avr_core.drive_line_directions.pointer
+        self._ports = np.zeros(len(self._driven), avr_clock_and_pins.LINE_PORT)
+        self._functions = (
+            avr_clock_and_pins.drive_line_levels.pointer,
+            avr_clock_and_pins.drive_line_directions.pointer,
+        )
         for k, (port, rows) in enumerate(zip(self._port_numbers, self._driven, strict=True)):
             row = self._ports[k]
             row["avr"], row["lines"], row["n_lines"] = avr.record.own, rows.ctypes.data, len(rows)
@@ -118,22 +122,23 @@ class AvrLines:
         rows.sort()
         ends = [*(rows[k][0] != rows[k + 1][0] for k in range(len(rows) - 1)), True][: len(rows)]
         return np.array(
-            [(bit, chip, *rest, end) for (chip, bit, *rest), end in zip(rows, ends, strict=True)], avr_core.DRIVEN_LINE
+            [(bit, chip, *rest, end) for (chip, bit, *rest), end in zip(rows, ends, strict=True)],
+            avr_clock_and_pins.DRIVEN_LINE,
         )
 
     def _connect_read_lines(self, places: Sequence[PlacedLine], avr: Any) -> None:
         """Connect the lines that the program reads, such as switches, to their pins."""
         ports = sorted({port for port, _, _ in places})
-        self._pulled = np.zeros(len(ports), avr_core.PULLED_PORT)
-        self._read = np.zeros(len(places), avr_core.READ_LINE)
+        self._pulled = np.zeros(len(ports), avr_clock_and_pins.PULLED_PORT)
+        self._read = np.zeros(len(places), avr_clock_and_pins.READ_LINE)
         addresses = {port: self._pulled[k:].ctypes.data for k, port in enumerate(ports)}
         for k, (port, bit, line) in enumerate(places):
             last = k + 1 == len(places) or places[k + 1][:2] != (port, bit)
             place, inverted = (avr.find_irq(port, bit), addresses[port], bit), line.inverted
             self._read[k] = (*place, *self._find_chip(line), inverted, inverted, last)
             pulled = self._pulled[ports.index(port)]
-            pulled["request"] = encode_ioctl_request("iop" + avr_core.PORTS[port])
-            pulled["pulls"] |= 1 << (_PULL_MASK + bit) | inverted << (avr_core.PULL_VALUE + bit)
+            pulled["request"] = encode_ioctl_request("iop" + avr_clock_and_pins.PORTS[port])
+            pulled["pulls"] |= 1 << (_PULL_MASK + bit) | inverted << (avr_clock_and_pins.PULL_VALUE + bit)
         for port, pulled in zip(ports, self._pulled, strict=True):
             avr.call_avr_ioctl(int(pulled["request"]), addresses[port])
         for row in self._read:
@@ -152,7 +157,7 @@ def parse_avr_pin(line: PinLine, mcu: str) -> tuple[int, int]:
     for families, pins in MISSING_PINS.items():
         if mcu.startswith(tuple(families.split())) and line.pin in pins.split():
             raise ArgumentError(f"--pins {line}: the {mcu} has no pin {line.pin}; port {match[1]} has others.")
-    return avr_core.PORTS.index(match[1]), int(match[2])
+    return avr_clock_and_pins.PORTS.index(match[1]), int(match[2])
 
 
 def _check_pin_of_line(line: PinLine, has_port: bool, is_of_bus: bool, mcu: str) -> None:

@@ -18,13 +18,13 @@ from stage.board.bus.host_record import IN8, IN16, OUT8, OUT16
 from stage.board.errors import LibraryError
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
-from stage.targets import dos
+from stage.targets import dos_and_bios_services
 from stage.targets.elf import MAX_SIZE, read_machine_name
-from stage.targets.gdb import DebugServer, make_pc_registers
+from stage.targets.gdb_server import DebugServer, make_pc_registers
 from stage.targets.pc_timer import HZ as TIMER_HZ
 from stage.targets.pc_timer import PcTimer
-from stage.targets.processor_core import poll_from_python, wait
-from stage.targets.unicorn_engine import NEVER, UnicornProcessor
+from stage.targets.processor_clock_and_bus_cycles import poll_from_python, wait
+from stage.targets.unicorn_processor import NEVER, UnicornProcessor
 
 DEFAULT_HZ = 4_772_727
 INSTRUCTION_CYCLES, BYTE_CYCLES = 8, 4
@@ -94,7 +94,7 @@ class Pc(UnicornProcessor):
         self._tick_pending = 0
         self._load_bios()
         self._load_program(program.path)
-        self.dos = dos.Dos(self)
+        self.dos = dos_and_bios_services.Dos(self)
         self.uc.hook_add(unicorn.UC_HOOK_INTR, self._handle_interrupt)
         self.hook_ports(_PORT_FUNCTION(self._access_internal_port), INTERNAL_PORTS)
         self._call: int | None = None

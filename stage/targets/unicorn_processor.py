@@ -1,4 +1,4 @@
-"""`UnicornProcessor`: base class of processors on Unicorn, with registers, log and error messages; see cortex.py and pc.py."""
+"""`UnicornProcessor`: base class of processors on Unicorn, with registers, log and error messages (cortex_m.py, pc_8086.py)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from stage.board.board import Board
 from stage.board.bus import host_record, host_requests
 from stage.board.errors import HostError
 from stage.native import address_of
-from stage.targets import processor_core
-from stage.targets.gdb import DebugServer
+from stage.targets import processor_clock_and_bus_cycles
+from stage.targets.gdb_server import DebugServer
 
 _CODE, _INSN = 4, 2  # kinds of hooks
 _IN, _OUT = 218, 500  # of x86, as Unicorn numbers them
@@ -34,7 +34,7 @@ _MEMORY_ERRORS = (6, 7, 8, 12, 13, 14)
 class _MachineRecord(ctypes.Structure):
     """MACHINE record as a ctypes structure, whose fields Python accesses faster than those of a NumPy record."""
 
-    _fields_ = tuple((name, ctypes.c_int64) for name in processor_core.MACHINE.names or ())
+    _fields_ = tuple((name, ctypes.c_int64) for name in processor_clock_and_bus_cycles.MACHINE.names or ())
 
 
 class Registers:
@@ -89,7 +89,7 @@ class UnicornProcessor:
         self._lib, self._constants = uclib, {**vars(arm_const), **vars(x86_const)}
         if model is not None:  # before anything else
             self.uc.ctl_set_cpu_model(model)
-        self._row = np.zeros(1, processor_core.MACHINE)
+        self._row = np.zeros(1, processor_clock_and_bus_cycles.MACHINE)
         self._flags = np.zeros(1, "i8")
         t = self.record = _MachineRecord.from_buffer(self._row.data)
         link = board.link
@@ -109,7 +109,7 @@ class UnicornProcessor:
         self.fault = ""
         self._functions: list[Any] = []
         self._line = ""
-        self.add_hook(_CODE, processor_core.count_instruction.pointer)
+        self.add_hook(_CODE, processor_clock_and_bus_cycles.count_instruction.pointer)
         self._invalid_address: int | None = None
         self.uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._store_invalid_address)
 
@@ -161,16 +161,21 @@ class UnicornProcessor:
         """
         self._functions.append(function)
         self.record.internal_port, self.record.n_internal_ports = _get_function_address(function), below
-        self.add_hook(_INSN, processor_core.execute_in.pointer, _IN)
-        self.add_hook(_INSN, processor_core.execute_out.pointer, _OUT)
+        self.add_hook(_INSN, processor_clock_and_bus_cycles.execute_in.pointer, _IN)
+        self.add_hook(_INSN, processor_clock_and_bus_cycles.execute_out.pointer, _OUT)
 
     def map_windows(self, windows: Any) -> None:
         """Map the pages of memory in which windows of the board lie."""
-        self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], processor_core.WINDOW)
+        self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], processor_clock_and_bus_cycles.WINDOW)
         self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
         self.window_pages = sorted({page for w in windows for page in range(w.address & -PAGE_SIZE, w.end, PAGE_SIZE)})
-        self._pages = np.array([(self.record.own, page) for page in self.window_pages], processor_core.PAGE)
-        read, write = processor_core.load_from_window.pointer, processor_core.store_to_window.pointer
+        self._pages = np.array(
+            [(self.record.own, page) for page in self.window_pages], processor_clock_and_bus_cycles.PAGE
+        )
+        read, write = (
+            processor_clock_and_bus_cycles.load_from_window.pointer,
+            processor_clock_and_bus_cycles.store_to_window.pointer,
+        )
         for k, page in enumerate(self.window_pages):
             user = ctypes.c_void_p(address_of(self._pages[k : k + 1]))
             failed = self._lib.uc_mmio_map(
@@ -203,7 +208,7 @@ class UnicornProcessor:
     def _log_line(self, line: str) -> None:
         """Add a line of the program's output to the board's log."""
         text = ctypes.create_string_buffer(line.encode())
-        processor_core.poll_from_python.c(self.record.own)
+        processor_clock_and_bus_cycles.poll_from_python.c(self.record.own)
         self._board.link.request(self._board.link.pointer, host_record.LOG, ctypes.addressof(text), 0)
 
     # --- for a debugger ---
@@ -256,7 +261,7 @@ class UnicornProcessor:
         if self.gdb is not None:
             self.gdb.report_end(self.code)
         self.flush_log_line()
-        processor_core.poll_from_python.c(self.record.own)
+        processor_clock_and_bus_cycles.poll_from_python.c(self.record.own)
         return self.code
 
     def _run_to_stop(self) -> None:
@@ -335,7 +340,7 @@ class UnicornProcessor:
         """
         board = self._board
         self.flush_log_line()
-        processor_core.poll_from_python.c(self.record.own)
+        processor_clock_and_bus_cycles.poll_from_python.c(self.record.own)
         return HostError(
             f"{self.path.name}: {what}, at {self.describe_location()}; at {board.stage.time:.6f} s, after "
             f"{board.cycles:,} bus cycles. {board.trace.format_ending(12)}"

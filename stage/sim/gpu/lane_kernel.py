@@ -19,7 +19,7 @@ from stage.chips import core_interface
 from stage.drives import drive_dispatch
 from stage.sim.engine_records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, compute_clock_at
 from stage.sim.gpu.device_code import LaneChip
-from stage.sim.gpu.lane_layout import HOST, PLAYING, WARP
+from stage.sim.gpu.lane_memory_layout import HOST, PLAYING, WARP
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WRITE
 from stage.sim.program_player import DIVERGED, PLAYED, inspect_axis
 from stage.sim.switch_edges import find_next_edge, predict_axis_switch_edges, process_axis_edges

@@ -17,10 +17,10 @@ from stage.board.errors import LibraryError
 from stage.board.memory_mapped_ports import Window
 from stage.errors import ArgumentError
 from stage.targets.elf import ARM, Elf, check_arm
-from stage.targets.gdb import DebugServer, make_cortex_registers
+from stage.targets.gdb_server import DebugServer, make_cortex_registers
 from stage.targets.nvic import Nvic
-from stage.targets.processor_core import wait
-from stage.targets.unicorn_engine import INVALID_INSTRUCTION, PAGE_SIZE, Registers, UnicornProcessor
+from stage.targets.processor_clock_and_bus_cycles import wait
+from stage.targets.unicorn_processor import INVALID_INSTRUCTION, PAGE_SIZE, Registers, UnicornProcessor
 
 DEFAULT_HZ = 72_000_000
 INSTRUCTION_UNITS, BYTE_UNITS, UNITS = 1, 1, 2

@@ -21,7 +21,7 @@ from stage.board.memory_mapped_ports import Window, parse_windows
 from stage.board.pin_assignment import PinLine, parse_pins, split_uart_lines
 from stage.board.thread_runner import PATIENCE_S, Program
 from stage.errors import ArgumentError
-from stage.targets import mcus
+from stage.targets import supported_processors
 from stage.targets.nvic import IRQS
 
 EXAMPLE = "0x40021000=0x300+0x40"
@@ -41,9 +41,8 @@ class TargetHost(Host):
         firmware: An ELF program; for mcu 8086, a .COM or .EXE file.
         board: A Board; only one firmware at a time drives it.
         mcu: Name of the processor, for example atmega2560, cortex-m3, 8086.
-        map: Wiring of the board to the processor, one text or several: the pins of an AVR, see stage.targets.avr_bus; the memory
-            windows
-            of a Cortex-M, see stage.board.memory_mapped_ports; an 8086 has ports of its own.
+        map: Wiring of the board to the processor, one text or several: the pins of an AVR, see stage.targets.avr_bus_wiring; the
+            memory windows of a Cortex-M, see stage.board.memory_mapped_ports; an 8086 has ports of its own.
         pins: Pins of an AVR that are STEP/DIR lines and switches of axes, one text or several; see stage.board.pin_assignment.
         mcu_clock: Clock of the processor, Hz; None: the default in docs/targets.md.
         gdb: TCP port on 127.0.0.1 at which the processor waits for a debugger (GDB); None: no debugger.
@@ -78,7 +77,7 @@ class TargetHost(Host):
             raise ArgumentError(f"gdb={gdb!r}: a TCP port, 1024 to 65535.")
         if gdb is not None:
             _check_port_is_free(gdb)
-        self.mcu = mcus.check_mcu(mcu)
+        self.mcu = supported_processors.check_mcu(mcu)
         maps = [map] if isinstance(map, str) else list(map)
         chips = {name: axis.chip for name, axis in board.stage.axes.items()}
         hz = None if mcu_clock is None else round(mcu_clock)
@@ -86,7 +85,11 @@ class TargetHost(Host):
         program = make_program(Path(firmware), self.mcu, maps, lines, hz, gdb)
         super().__init__(program, board, isolated, DEBUG_PATIENCE_S if gdb else patience)
         self.serial_lack = (
-            AVR_SERIAL_LACK if mcu in mcus.AVRS else CORTEX_SERIAL_LACK if mcu in mcus.CORTEX else PC_SERIAL_LACK
+            AVR_SERIAL_LACK
+            if mcu in supported_processors.AVRS
+            else CORTEX_SERIAL_LACK
+            if mcu in supported_processors.CORTEX
+            else PC_SERIAL_LACK
         )
         self._connect_uarts(wires)
 
@@ -122,22 +125,22 @@ def make_program(
     Raises:
         ArgumentError, NoEmulatorError: See `TargetHost`.
     """
-    if mcu in mcus.AVRS:
-        from stage.targets.avr_bus import parse_bus_pins
+    if mcu in supported_processors.AVRS:
+        from stage.targets.avr_bus_wiring import parse_bus_pins
         from stage.targets.simavr import AvrProgram
 
-        mcus.load_simavr()
+        supported_processors.load_simavr()
         bus = parse_bus_pins(maps) if maps or not lines else None
         return AvrProgram(path, mcu, bus, lines, hz, gdb)
     if lines:
         raise ArgumentError(f"--pins {lines[0]}: only an AVR's pins can be lines of an axis so far; {mcu} is none.")
-    mcus.check_unicorn()
-    if mcu in mcus.CORTEX:
-        from stage.targets.cortex import CortexProgram
+    supported_processors.check_unicorn()
+    if mcu in supported_processors.CORTEX:
+        from stage.targets.cortex_m import CortexProgram
 
         windows, irq = _parse_cortex_maps(maps)
         return CortexProgram(path, mcu, hz, windows, irq, gdb)
-    from stage.targets.pc import PcProgram
+    from stage.targets.pc_8086 import PcProgram
 
     return PcProgram(path, hz, _parse_pc_maps(maps), gdb)
 

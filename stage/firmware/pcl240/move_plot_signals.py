@@ -7,8 +7,8 @@ import numpy as np
 from stage.chips.pcl240.cycle_descriptions import name_speed
 from stage.chips.pcl240.maps import CONTROL, OPERATE, OUTPUT
 from stage.chips.pcl240.state import FL, GROUP, INT_AT_STOP, OUTPUT_BITS, RAMP, SPEED, START, STOP
-from stage.firmware import operation_pattern
-from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET, PatternNote
+from stage.firmware import move_plot_signals
+from stage.firmware.move_plot_signals import AMBER, BLUE, GREEN, GREY, RED, VIOLET, PatternNote
 
 PATTERN_LANES = (
     ("fup", "FUP", BLUE),
@@ -26,7 +26,7 @@ PATTERN_LANES = (
 )
 
 
-class Pcl240Pattern(operation_pattern.OperationPattern):
+class Pcl240Pattern(move_plot_signals.OperationPattern):
     """Signals and commands of a report about a PCL-240."""
 
     LANES = PATTERN_LANES
