@@ -276,7 +276,7 @@ class DriftingHome(MachineTask[Config]):
         width = max(self.search.result_indices.values()) + 1
         results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
         results[:, : played.results.shape[1]] = played.results
-        outcome = self.search.read_results(results, rows)
+        outcome = self.search.decode_results(results, rows)
         home, end_limit, timed_out = outcome.home & returned, outcome.end_limit & returned, outcome.timed_out & returned
         duration = np.where(returned, t["now"] * 1e-9, 0.0)
         trips = self.origin + self.shift[:, 1]

@@ -129,5 +129,5 @@ class MacroTable:
             axis: Index of the axis.
             results: Results of their programs, (n, operations).
         """
-        outcome = self.home_searches[axis].read_results(results, np.repeat(self._choices[axis], len(results), axis=0))
+        outcome = self.home_searches[axis].decode_results(results, np.repeat(self._choices[axis], len(results), axis=0))
         return outcome.home & ~outcome.timed_out

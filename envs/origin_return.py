@@ -256,7 +256,7 @@ class OriginReturn(MoveTask[Config]):
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         rows = self.to_registers(self.actions)
-        outcome = self.search.read_results(played.results, rows)
+        outcome = self.search.decode_results(played.results, rows)
         timed_out, home, end_limit = outcome.timed_out, outcome.home, outcome.end_limit
         duration = t["now"] * 1e-9  # since power-up
         error = np.clip((t["position"] - self.origin) / self.per_pulse, -1e6, 1e6)

@@ -343,7 +343,7 @@ class RegisterBus(Task[Config]):
         super().set_action(stage_index, action)
 
     def play_actions(self) -> None:
-        watched = self.fleet.list_python_stages()
+        watched = self.fleet.list_stages_played_in_python()
         if not watched:
             self.fleet.run_on_threads(self._step_stages)
             self.fleet.check_status(self._status)

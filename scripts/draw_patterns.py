@@ -314,7 +314,7 @@ def page(reports: dict[str, Report]) -> str:
     """Return the text of docs/patterns.md."""
     first = [r for r in rows(next(iter(reports.values()))) if is_speed_data(r) or r[1] == "08"]
     call = next(re.finditer(r"^P = (.*)$", Path(__file__).read_text(), re.M))[1]
-    speed = SPEED_DATA.format(call=call, accel=P.accel() * 1e3, table=table(first))
+    speed = SPEED_DATA.format(call=call, accel=P.get_accel_time() * 1e3, table=table(first))
     contents = "".join(f"- [{p.title}](#{anchor(p.title)})\n" for p in PATTERNS)
     return HEAD.replace("CALL", call) + "\n" + contents + speed + "".join(section(p, reports[p.name]) for p in PATTERNS)
 

@@ -85,7 +85,7 @@ class Move:
         if self.kind == "constant" and top > SLOW:
             self.kind = "preset"
         if self.kind == "continuous":
-            self.when = (self.count - 5) / top - 1.2 * self.profile.decel(self.fh2)
+            self.when = (self.count - 5) / top - 1.2 * self.profile.get_decel_time(self.fh2)
             if self.when < 0.02:
                 self.kind = "preset"
         if self.kind == "dual":  # without a curve: the ramp-down begins early enough for either rate

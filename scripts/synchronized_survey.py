@@ -71,7 +71,9 @@ def compute_common_multiplier_deviation(moves, line_plan):
         low, high = (max(1, round(ratio * rate / step)) for rate in (long.fl, long.fh))
         row = moves.row(abs(axis.distance), low, high, high, 2, 2, 0, r7)
         gain, limit = max(high - low, 1) * compute_ramp_stretch(row), axis.chip.MAP.register("R4").mask
-        row[4], row[5] = (min(max(round(t * long.clock_hz / gain), 2), limit) for t in (long.accel, long.decel))
+        row[4], row[5] = (
+            min(max(round(t * long.clock_hz / gain), 2), limit) for t in (long.accel_time, long.decel_time)
+        )
         down = (high + low) * gain * row[5] / (16384 * r7)
         row[6] = min(int(down) + max(1, round(5 * ratio)), abs(axis.distance))
         pulses.append((trace_row(row, axis.chip), 1))

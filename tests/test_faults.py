@@ -730,7 +730,7 @@ def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_pa
     assert profile.pin("hold").all(), "its replay does not see the write either"
     assert profile.edges["counter"][-1] == 1000
     assert " LOST " in recording.to_vcd(tmp_path / "x.vcd").read_text()
-    notes = get_driver(x).PATTERN_CLASS(report).make_notes(report.waveforms.seconds - report.began)
+    notes = get_driver(x).PATTERN_CLASS(report).make_annotations(report.waveforms.seconds - report.began)
     assert [n.words for n in notes if n.words == "lost on the bus"] == ["lost on the bus"]
     report.plot(tmp_path / "x.png")
 

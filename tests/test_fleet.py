@@ -327,7 +327,7 @@ def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compile
     p.sample_position(0, site, 0).sample_position(0, -body, 2)
     played = one.play([p])
     other.stages[0].record()
-    assert other.list_python_stages() == [0], "Python plays it"
+    assert other.list_stages_played_in_python() == [0], "Python plays it"
     assert (other.play([p]).results == played.results).all()
     from_, height, by_site, by_body, nothing, still, to, as_high = played.results[0, -8:].tolist()
     assert (nothing, still) == (0, 0)

@@ -148,7 +148,7 @@ def build(
             f"output {os.fspath(output)}: a library is written there, and this is the name of a source. Several sources are one "
             "list: build([a, b]); the output ends in .so."
         )
-    target = platforms.platform_of(platform, files, libraries)
+    target = platforms.find_platform(platform, files, libraries)
     files = platforms.add_sketch_files(files)
     library = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
     with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:

@@ -342,11 +342,11 @@ class Chip(DeclaredAttributes):
         """Whether the chip belongs to a stage or a bench."""
         return self._bus is not None
 
-    def _use_record(self, rows: np.ndarray, i: int) -> None:
-        """Use record `i` of `rows` as the state."""
-        self._rows, self._i = rows, i
-        self._address = rows.ctypes.data + i * rows.itemsize
-        self._record = rows.view(without_attributes(rows.dtype))[i]
+    def _use_record(self, rows: np.ndarray, index: int) -> None:
+        """Use record `index` of `rows` as the state."""
+        self._rows, self._i = rows, index
+        self._address = rows.ctypes.data + index * rows.itemsize
+        self._record = rows.view(without_attributes(rows.dtype))[index]
 
     @property
     def pointer(self) -> int:

@@ -225,7 +225,7 @@ def _check_core(core: Any, chip: Any) -> list[str]:
 
 
 def _find_missing_records(core: Any) -> list[str]:
-    """List the dtypes that a core lacks, or that lack a required field."""
+    """List the record types (dtypes such as STATE) that a core lacks, or that lack a required field."""
     problems = []
     for name, (what, fields) in REQUIRED_RECORDS.items():
         present = getattr(core, name, None)

@@ -298,15 +298,15 @@ def compute_drive_input(chip, axis_index, net_before, clocks):
 
 
 @hot
-def compute_pulse_rate(chip, axis_index, hz):
+def compute_pulse_rate(chip, axis_index, clock_hz):
     """Return the present rate of the net count, per second.
 
     Args:
         chip: CHIP record.
         axis_index: Axis of the chip.
-        hz: Reference clock, Hz.
+        clock_hz: Reference clock, Hz.
     """
-    return _rate(chip.compute_pulse_rate, (chip.at, axis_index, hz))
+    return _rate(chip.compute_pulse_rate, (chip.at, axis_index, clock_hz))
 
 
 @hot

@@ -142,7 +142,7 @@ def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:
     if len(group) == 1:
         pulses = find_pulses(group[0], LONG)
         try:
-            return [move_at_two_rates(group[0], pulses=pulses, speed=speeds.with_second(FAST_PPS), dwell=DWELL_S)]
+            return [move_at_two_rates(group[0], pulses=pulses, speed=speeds.with_second_rate(FAST_PPS), dwell=DWELL_S)]
         except ArgumentError as error:
             show_status(f"no two rates: {error}")
     return _move_group(group, LONG, speeds)

@@ -45,7 +45,7 @@ class DCMotor:
     def __post_init__(self) -> None:
         check_in_range(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
         check_in_range(f"{self.name}: torque_constant", self.torque_constant, 0, 1000, "N m/A")
-        check_in_range(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2", zero=True)
+        check_in_range(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2", zero_allowed=True)
         check_in_range(f"{self.name}: continuous_torque", self.continuous_torque, 0, 1000, "N m")
         check_in_range(f"{self.name}: nominal_voltage", self.nominal_voltage, 0, 400, "V")
 
@@ -120,7 +120,7 @@ class Servo:
         object.__setattr__(self, "motor", find_dc_motor(self.motor))
         if self.current_limit is not None:
             otherwise = ", or None for an amplifier without a limit"
-            check_in_range("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", otherwise=otherwise)
+            check_in_range("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", alternative=otherwise)
         check_in_range("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
         number = isinstance(self.counts, Real) and not isinstance(self.counts, bool)
         if not number or not 4 <= self.counts <= MAX_COUNTS or int(self.counts) != self.counts:

@@ -264,7 +264,7 @@ def _check_speeds(rpm: Floats) -> np.ndarray:
 
 def _compute_damping(drive: Drive, inertia: float, ratio: float) -> float:
     """Return the damping, N m s/rad, that is `ratio` times the critical damping of the rotor's swing about its field."""
-    check_in_range("damping_ratio", ratio, 0, 10, "times critical", zero=True)
+    check_in_range("damping_ratio", ratio, 0, 10, "times critical", zero_allowed=True)
     return 2 * ratio * inertia * 2 * math.pi * compute_natural_frequency(replace(drive, detent=0.0), inertia)
 
 

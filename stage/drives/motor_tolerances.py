@@ -105,7 +105,9 @@ def vary_motor(motor: Motor | str, core_loss_damping: float | None = None, induc
     motor = find_motor(motor)
     if core_loss_damping is not None:
         max_loss = motor.holding_torque / (2 * math.pi)  # one turn a second takes all torque
-        check_in_range(f"{motor.name}: core_loss_damping", core_loss_damping, 0, max_loss, "N m s/rad", zero=True)
+        check_in_range(
+            f"{motor.name}: core_loss_damping", core_loss_damping, 0, max_loss, "N m s/rad", zero_allowed=True
+        )
         resistance = motor.torque_constant**2 / core_loss_damping if core_loss_damping else None
         motor = replace(motor, core_loss_resistance=resistance)
     return motor if inductance is None else replace(motor, effective_inductance=inductance)

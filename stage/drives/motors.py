@@ -36,9 +36,9 @@ MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
 
 
 def check_in_range(
-    quantity: str, value: object, low: float, high: float, unit: str, zero: bool = False, otherwise: str = ""
+    quantity: str, value: object, low: float, high: float, unit: str, zero_allowed: bool = False, alternative: str = ""
 ) -> None:
-    """Raise ArgumentError unless `value` is a number above `low` (or, if `zero` is True, equal to `low`) and at most `high`.
+    """Raise ArgumentError unless `value` is a number above `low` (with `zero_allowed`, or equal to it) and at most `high`.
 
     Args:
         quantity: Name of the value, for the message.
@@ -46,14 +46,14 @@ def check_in_range(
         low: Lower limit.
         high: Upper limit.
         unit: Unit of the value.
-        zero: Whether the lower limit itself is allowed.
-        otherwise: End of the message that says what may be given in place of a number.
+        zero_allowed: Whether the lower limit itself is allowed.
+        alternative: End of the message that says what may be given in place of a number.
     """
     fits = isinstance(value, Real) and not isinstance(value, bool)
-    if fits and (low <= value <= high if zero else low < value <= high):  # type: ignore[operator]
+    if fits and (low <= value <= high if zero_allowed else low < value <= high):  # type: ignore[operator]
         return
-    bound = f"from {low:g}" if zero else f"above {low:g},"
-    raise ArgumentError(f"{quantity}={value!r}: give a number {bound} up to {high:g} {unit}{otherwise}.")
+    bound = f"from {low:g}" if zero_allowed else f"above {low:g},"
+    raise ArgumentError(f"{quantity}={value!r}: give a number {bound} up to {high:g} {unit}{alternative}.")
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,9 @@ class Motor:
         check_in_range(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
         check_in_range(f"{self.name}: inductance", self.inductance, 0, 1, "H")
         check_in_range(f"{self.name}: holding_torque", self.holding_torque, 0, 1000, "N m")
-        check_in_range(f"{self.name}: detent_torque", self.detent_torque, 0, self.holding_torque, "N m", zero=True)
+        check_in_range(
+            f"{self.name}: detent_torque", self.detent_torque, 0, self.holding_torque, "N m", zero_allowed=True
+        )
         check_in_range(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2")
         check_in_range(f"{self.name}: steps_per_turn", self.steps_per_turn, 0, 4000, "")
         if self.steps_per_turn % 4:
@@ -110,7 +112,7 @@ class Motor:
             least = self.torque_constant**2 * 2 * math.pi / self.holding_torque  # one turn a second takes all torque
             check_in_range(
                 f"{self.name}: core_loss_resistance", self.core_loss_resistance, least, MAX_CORE_LOSS_RESISTANCE_OHM, "ohm",
-                otherwise=", or None for a motor without core loss",
+                alternative=", or None for a motor without core loss",
             )  # fmt: skip
 
     @property
@@ -304,7 +306,7 @@ class Drive:
             check_in_range(f"current of the {self.motor.name}", self.current, 0, 2 * self.motor.rated_current, "A")
         if self.detent is not None:
             check_in_range(
-                f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero=True
+                f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero_allowed=True
             )
         if self.mode not in MODES:
             raise unknown_name_error("drive mode", self.mode, MODES)

@@ -186,19 +186,19 @@ def fit_curve(
     return CurveFit(fitted, tuple(selected), comparison, comparison.compute_rms(others) if others else math.nan)
 
 
-def _scale_holding_torque(motor: Motor, start: Motor, factor: float) -> Motor:
-    """Return the motor with `factor` times the holding torque of `start`."""
-    return replace(motor, holding_torque=factor * start.holding_torque)
+def _scale_holding_torque(motor: Motor, start_motor: Motor, factor: float) -> Motor:
+    """Return the motor with `factor` times the holding torque of `start_motor`."""
+    return replace(motor, holding_torque=factor * start_motor.holding_torque)
 
 
-def _scale_effective_inductance(motor: Motor, start: Motor, factor: float) -> Motor:
-    """Return the motor with `factor` times the inductance of `start` as its effective inductance."""
-    return replace(motor, effective_inductance=factor * start.inductance)
+def _scale_effective_inductance(motor: Motor, start_motor: Motor, factor: float) -> Motor:
+    """Return the motor with `factor` times the inductance of `start_motor` as its effective inductance."""
+    return replace(motor, effective_inductance=factor * start_motor.inductance)
 
 
-def _scale_core_loss(motor: Motor, start: Motor, factor: float) -> Motor:
+def _scale_core_loss(motor: Motor, start_motor: Motor, factor: float) -> Motor:
     """Return the motor with a core loss of `factor` units. Call it last, because the resistance depends on the torque constant."""
-    damping = factor * CORE_LOSS_UNIT * start.holding_torque
+    damping = factor * CORE_LOSS_UNIT * start_motor.holding_torque
     return replace(motor, core_loss_resistance=motor.torque_constant**2 / damping if damping > 0 else None)
 
 

@@ -75,9 +75,9 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
     )
     ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2.2, label="chopper drive, simulated")
     if drive.motor.name in PUBLISHED_CURVES:
-        _draw_published(ax, PUBLISHED_CURVES[drive.motor.name], drive.motor)
+        _draw_published_curve(ax, PUBLISHED_CURVES[drive.motor.name], drive.motor)
     else:
-        _draw_likely_loss(ax, drive, table.rpm)
+        _draw_likely_core_loss_band(ax, drive, table.rpm)
     _decorate_axes(ax, drive, table.rpm.max(), 1.2 * max(table.chopper.max(), table.ideal_saturated.max()))
     ax.set_title(f"{drive.motor.name}: pull-out torque", loc="left", color=TEXT_COLOR, fontsize=12, weight="bold")
     ax.set_title(f"{drive.bus_voltage:g} V, {drive.amplitude:g} A", loc="right", color=MUTED_COLOR, fontsize=9)
@@ -90,7 +90,7 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
     return fig
 
 
-def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
+def _draw_published_curve(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
     """Draw a published curve, and the simulated torque of the motor with the settings of that curve."""
     comparison, settings = curve.compare(motor), f"{curve.bus_voltage:g} V, {curve.current:g} A"
     ax.plot(comparison.rpm, comparison.published, "D", color=COLORS[1], markersize=5, label=f"published, {settings}")
@@ -104,7 +104,7 @@ def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
     )
 
 
-def _draw_likely_loss(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
+def _draw_likely_core_loss_band(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
     """Draw the band of torque between the smallest and the largest core loss that a motor without a published curve is likely to
     have."""
     likely = estimate_core_loss(drive.motor)

@@ -70,9 +70,9 @@ class BenchAxis:
         """Position of a rail's carriage, pulses."""
         return self._offset + self.chip.net(self.chip_axis)
 
-    def _place_on_rail(self, at: int, spans: dict[str, PositionSpan]) -> None:
-        """Place the carriage of a rail at `at` pulses, with the pins that it asserts within spans of pulses."""
-        self._offset, self._spans = at - self.chip.net(self.chip_axis), spans
+    def _place_on_rail(self, position: int, spans: dict[str, PositionSpan]) -> None:
+        """Place the carriage of a rail at `position` pulses, with the pins that it asserts within spans of pulses."""
+        self._offset, self._spans = position - self.chip.net(self.chip_axis), spans
         self._bounds = [bound for span in spans.values() for bound in span if bound is not None]
         self._assert_switches()
 

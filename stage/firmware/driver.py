@@ -69,7 +69,7 @@ class Speeds(NamedTuple):
     automatic: bool | None = None
     approach: float | None = None
 
-    def with_second(self, second: float) -> Speeds:
+    def with_second_rate(self, second: float) -> Speeds:
         """Return these speeds with a second drive speed; the ramps become longer, so that they stay as steep."""
         longer = second / self.drive
         return self._replace(second=second, up=self.up * longer, down=self.down * longer)
@@ -437,16 +437,17 @@ class Driver(ABC):
         """Read from the chip why the axis stopped without a command of the host, for example "EL+"; "" if it shows no reason."""
         return ""
 
-    def explain_end(self, done: bool, journal: Journal | None = None) -> str:
+    def explain_end(self, made_all_pulses: bool, journal: Journal | None = None) -> str:
         """Return the stop reason of a move for `Report.stopped_by`: from the chip, else from the journal, else UNKNOWN.
 
         Args:
-            done: True if the chip has made every commanded pulse: the reason is then DONE_REASON, unless the chip shows another.
+            made_all_pulses: True if the chip has made every commanded pulse: the reason is then DONE_REASON, unless the chip
+                shows another.
             journal: Journal of the chip, opened before the move.
         """
         if shown := self.read_stop_reason():
             return shown
-        if done:
+        if made_all_pulses:
             return self.DONE_REASON
         if journal is not None and any(e.kind == WRITE and self.is_stop_command(e.a, e.b) for e in journal.entries):
             return STOP_COMMAND
@@ -660,7 +661,7 @@ def get_driver_class(chip: type[Chip]) -> type[Driver]:
     return loaded
 
 
-def select_moving(drivers: Mapping[str, DriverType], pulses: Mapping[str, int]) -> dict[str, DriverType]:
+def select_moving_drivers(drivers: Mapping[str, DriverType], pulses: Mapping[str, int]) -> dict[str, DriverType]:
     """Return the drivers of the axes that have pulses to make on a line. Raises ArgumentError if no axis has any."""
     moving = {name: driver for name, driver in drivers.items() if pulses[name]}
     if not moving:

@@ -35,7 +35,7 @@ class HomeProgram(ABC):
 
     Attributes:
         choices: Names and ranges of the parameters that the user chooses, in the order of a row.
-        result_indices: Indices of the operations whose results `read_results` needs, by name; equal for every program.
+        result_indices: Indices of the operations whose results `decode_results` needs, by name; equal for every program.
     """
 
     choices: ParameterRanges
@@ -79,7 +79,7 @@ class HomeProgram(ABC):
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
     @abstractmethod
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
+    def decode_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         """Decode the results of programs.
 
         Args:

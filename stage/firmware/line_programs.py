@@ -265,16 +265,16 @@ class LinePrograms(ABC):
             chips.setdefault(id(h.chip), (h.chip, []))[1].append(a)
         return list(chips.values())
 
-    def _mark_column_operation(self, program: Program, back: int, column: int, shift: int = 0) -> None:
+    def _mark_column_operation(self, program: Program, index_from_end: int, column: int, shift: int = 0) -> None:
         """Mark an operation of the template as one that writes a column.
 
         Args:
             program: Template.
-            back: Position of the operation, counted from the end of the template.
+            index_from_end: Position of the operation, counted from the end of the template.
             column: Index of the column that `_fill_template` writes there.
             shift: Number of bits by which the value is shifted to the right.
         """
-        self._slots.append((len(program) - back, column, shift))
+        self._slots.append((len(program) - index_from_end, column, shift))
 
     def _fill_template(self, template: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return copies of the template in which the marked operations write their columns.

@@ -18,7 +18,7 @@ PatternLane = tuple[str, str, str]
 """Name of a pin, its label and its color."""
 
 
-class PatternNote(NamedTuple):
+class PatternAnnotation(NamedTuple):
     """Line of text above the curve of a plot, with a mark at `time`: a dot for an event, an arrow for a command of the host."""
 
     time: float
@@ -67,7 +67,7 @@ class OperationPattern:
         """Return the rates that have names in the data sheet, pps."""
         return {}
 
-    def make_notes(self, times: np.ndarray) -> list[PatternNote]:
+    def make_annotations(self, times: np.ndarray) -> list[PatternAnnotation]:
         """Return the notes of the host's commands and of the chip's events.
 
         Args:
@@ -75,20 +75,20 @@ class OperationPattern:
         """
         report = self.report
         notes = [
-            PatternNote(when, code.split(" ")[0] + "h" if len(code) == 2 else code, meaning, False)
+            PatternAnnotation(when, code.split(" ")[0] + "h" if len(code) == 2 else code, meaning, False)
             for (when, code, meaning), s in zip(report.writes(), report.statements, strict=True)
-            if s.kind == "command" and self.is_noteworthy(meaning) and when > -0.02 * max(report.duration, 1e-3)
+            if s.kind == "command" and self.needs_annotation(meaning) and when > -0.02 * max(report.duration, 1e-3)
         ]
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
-    def is_noteworthy(self, meaning: str) -> bool:
+    def needs_annotation(self, meaning: str) -> bool:
         """Return whether a command with this meaning gets a note."""
         return True
 
-    def describe_end(self) -> list[PatternNote]:
+    def describe_end(self) -> list[PatternAnnotation]:
         """Return notes that say why the axis stopped."""
         report = self.report
         if not report.duration or report.stopped_by == "reset command":  # a note of its own
             return []
         why = "stop" if report.stopped_by == "decelerating stop" else report.stopped_by
-        return [PatternNote(report.duration, "", why, True)]
+        return [PatternAnnotation(report.duration, "", why, True)]

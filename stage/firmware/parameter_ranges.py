@@ -12,7 +12,7 @@ from stage.errors import ArgumentError
 
 
 class ParameterRanges(NamedTuple):
-    """Ranges of the numbers in a row, by name.
+    """Ranges of the numbers in a row of registers or of other parameters, by name.
 
     Attributes:
         ranges: Smallest and largest value of each number, in the order of the row.

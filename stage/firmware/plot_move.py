@@ -13,7 +13,7 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver_class
-from stage.firmware.move_plot_signals import OperationPattern, PatternNote
+from stage.firmware.move_plot_signals import OperationPattern, PatternAnnotation
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
 from stage.support.plot_style import COLORS, FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
@@ -59,7 +59,7 @@ def draw_operation_pattern(
     t[0], t[-1] = min(t[0], begin), max(t[-1], end)  # nothing moves before and after
     scale, unit = (1e3, "ms") if end - begin < 2 else (1.0, "s")
     limits = begin * scale, end * scale
-    notes = [n._replace(time=n.time * scale) for n in pattern.make_notes(t)]
+    notes = [n._replace(time=n.time * scale) for n in pattern.make_annotations(t)]
     if ax is not None:
         figure = ax.figure
         box = ax.get_window_extent()
@@ -69,7 +69,7 @@ def draw_operation_pattern(
         ax.set_xlabel(f"time from the first start, {unit}", color=TEXT_COLOR, fontsize=8.5)
     else:
         lanes = pattern.list_lanes(pins)
-        rows = _assign_note_rows(notes, limits, 72 * (WIDTH - LEFT - RIGHT))
+        rows = _assign_annotation_rows(notes, limits, 72 * (WIDTH - LEFT - RIGHT))
         panel = PANEL + (max(rows, default=0) + 1.6) * ROW / 72
         height = TOP + panel + 0.1 + LANE * len(lanes) + BOTTOM
         figure = Figure(figsize=(WIDTH, height))
@@ -112,7 +112,7 @@ def _draw_rate_panel(
     pattern: OperationPattern,
     times: np.ndarray,
     limits: tuple[float, float],
-    notes: list[PatternNote],
+    notes: list[PatternAnnotation],
     width: float,
     height: float,
 ) -> None:
@@ -120,7 +120,7 @@ def _draw_rate_panel(
     report, levels = pattern.report, pattern.list_named_rates()
     rates = report.rates
     peak = float(rates.max()) or 1.0
-    rows = _assign_note_rows(notes, limits, width)
+    rows = _assign_annotation_rows(notes, limits, width)
     plateaus = _find_plateaus(report, levels, times, limits)
     first = 1.6 if any(rate > 0.97 * peak for _, rate in plateaus) else 0.9  # the lowest note leaves room for the rate
     above = (max(rows, default=0) + first + 0.7) * ROW  # points for the notes
@@ -147,7 +147,9 @@ def _draw_rate_panel(
             color=MUTED_COLOR,
         )
     for note, row in zip(notes, rows, strict=True):
-        _draw_note(ax, note, _get_note_rate(report, times, note), (height - above + (row + first) * ROW) * scale)
+        _draw_annotation(
+            ax, note, _get_annotation_rate(report, times, note), (height - above + (row + first) * ROW) * scale
+        )
     ax.set_ylabel("pulse rate, pps", color=TEXT_COLOR, fontsize=8.5, y=0.5 * (height - above) / height)
     ax.locator_params(axis="y", nbins=6)
     ticks = [v for v in ax.get_yticks() if v <= 1.02 * peak]
@@ -164,7 +166,7 @@ def _label_level(ax: Any, level: float, text: str) -> None:
     )  # fmt: skip
 
 
-def _get_note_rate(report: Report, times: np.ndarray, note: PatternNote) -> float:
+def _get_annotation_rate(report: Report, times: np.ndarray, note: PatternAnnotation) -> float:
     """Return the rate at which the mark of a note meets the curve: the rate just before it, or the first rate."""
     k = int(np.searchsorted(times, note.time - 1e-9))
     before = float(report.rates[max(k - 1, 0)])
@@ -198,7 +200,7 @@ def _measure_text_width(text: str, bold: bool = False) -> float:
     return 1.04 * float(TextPath((0, 0), text, size=SIZE, prop=prop).get_extents().x1)
 
 
-def _assign_note_rows(notes: list[PatternNote], limits: tuple[float, float], width: float) -> list[int]:
+def _assign_annotation_rows(notes: list[PatternAnnotation], limits: tuple[float, float], width: float) -> list[int]:
     """Return a row for each note, so that no text overlaps another text or the arrow of a later note.
 
     From the last note to the first, each is placed above all notes that begin within its length."""
@@ -210,7 +212,7 @@ def _assign_note_rows(notes: list[PatternNote], limits: tuple[float, float], wid
     return rows
 
 
-def _draw_note(ax: Any, note: PatternNote, rate: float, height: float) -> None:
+def _draw_annotation(ax: Any, note: PatternAnnotation, rate: float, height: float) -> None:
     """Draw a note, its arrow or dot, and the line from it to the curve."""
     colour = EVENT_COLOR if note.event else TEXT_COLOR
     style = "-" if note.event else "-|>,head_width=0.16,head_length=0.32"

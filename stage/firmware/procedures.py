@@ -411,8 +411,10 @@ def convert_to_pulses(axis: Axis, distance: float | None, pulses: int | None) ->
     return round(get_forward_direction(axis) * distance / _get_meters_per_pulse(axis, "distance"))
 
 
-def _get_meters_per_pulse(axis: Axis, what: str) -> float:
+def _get_meters_per_pulse(axis: Axis, procedure_name: str) -> float:
     """Return the distance of one pulse, m. Raises ArgumentError for an axis without a carriage."""
     if axis.meters_per_pulse is None:
-        raise ArgumentError(f"{what}: axis {axis.name} has no carriage and no metres: give pulses=, and no speed.")
+        raise ArgumentError(
+            f"{procedure_name}: axis {axis.name} has no carriage and no metres: give pulses=, and no speed."
+        )
     return axis.meters_per_pulse

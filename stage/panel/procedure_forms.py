@@ -270,7 +270,7 @@ def prepare_two_rate_move(stage: Stage, axis_name: str, values: Values) -> Calla
     """Return the function that performs a move with two drive speeds, with the values of the form."""
     axis = stage.axes[axis_name]
     distance, second = values["distance"], values["fast"] / (axis.meters_per_pulse or 1.0)
-    speeds, dwell = procedures.parse_speeds(axis, values).with_second(second), values.get("dwell", 0.2)
+    speeds, dwell = procedures.parse_speeds(axis, values).with_second_rate(second), values.get("dwell", 0.2)
     return lambda stage: procedures.move_at_two_rates(axis, distance, speed=speeds, dwell=dwell)
 
 

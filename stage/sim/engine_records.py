@@ -97,6 +97,6 @@ MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation h
 
 
 @hot
-def compute_clock_at(now_ns: int, hz: int) -> int:
-    """Compute the number of reference clocks of a chip with a clock of `hz` at `now_ns` nanoseconds, exact for centuries."""
-    return now_ns // SECOND * hz + now_ns % SECOND * hz // SECOND
+def compute_clock_at(now_ns: int, clock_hz: int) -> int:
+    """Compute the number of reference clocks of a chip with a clock of `clock_hz` at `now_ns` nanoseconds, exact for centuries."""
+    return now_ns // SECOND * clock_hz + now_ns % SECOND * clock_hz // SECOND

@@ -451,10 +451,10 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
         raise ArgumentError(f"skip={skip!r}: a whole number of writes, 0 or more, arrive before one is lost.")
     left = int(skip)
 
-    def loses_write(a: int, v: int) -> bool:
-        """Return whether the write of value `v` to address `a` is lost."""
+    def loses_write(written_address: int, written_value: int) -> bool:
+        """Return whether the write of value `written_value` to address `written_address` is lost."""
         nonlocal left
-        if address not in (None, a) or value not in (None, v):
+        if address not in (None, written_address) or value not in (None, written_value):
             return False
         left -= 1
         if left < 0:

@@ -145,7 +145,7 @@ class Fleet:
         results, status = np.zeros(ops.shape[:2], np.int64), np.zeros(n, np.int64)
         extremes = np.empty((n, self._nq, 2))
         extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
-        by_python = self.list_python_stages()
+        by_python = self.list_stages_played_in_python()
         compiled = ops
         if by_python:
             compiled = ops.copy()
@@ -158,7 +158,7 @@ class Fleet:
             status[k] = program_player.play_in_python(self.stages[k], ops[k], results[k], extremes[k])
         return PlayedPrograms(results, extremes, status == program_player.DIVERGED)
 
-    def list_python_stages(self) -> list[int]:
+    def list_stages_played_in_python(self) -> list[int]:
         """List the stages whose programs Python must play: those with a recording, or whose chips have a journal or a bus fault.
 
         If MuJoCo has Python callbacks, the list has all stages.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def replace_motor_in_model(
-    model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo
+    model: Any, present_state: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo
 ) -> None:
     """Fit the rotor and the core loss of a drive's motor to the joint of an axis, in place of those of the present motor.
 
@@ -31,7 +31,7 @@ def replace_motor_in_model(
 
     Args:
         model: Model of the stage.
-        here: Present state, for the positions of all axes.
+        present_state: Present state, for the positions of all axes.
         axes: All axes of the stage.
         axis: Axis to change.
         drive: Its new drive.
@@ -55,7 +55,7 @@ def replace_motor_in_model(
     trial = copy.copy(model)
     _set_model_values(trial, axis, drive, armature)
     data = mujoco.MjData(trial)
-    data.time, data.qpos[:] = here.time, here.qpos
+    data.time, data.qpos[:] = present_state.time, present_state.qpos
     mujoco_callbacks.forward_guarded(trial, data)
     plants, drives = [a.plant for a in axes], [drive if a is axis else a.drive for a in axes]
     check_dampers(trial, plants, drives)

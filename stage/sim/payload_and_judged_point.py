@@ -60,15 +60,18 @@ def find_judged_point(stage: Stage, axis: str, name: str | None) -> tuple[str, i
     model, home = stage.model, int(stage.model.jnt_bodyid[stage.axes[axis].joint])
     moved = {a.joint for a in stage.axes.values()}
 
-    def chain(body: int) -> list[int] | None:
-        """Return the bodies from `body` up to that of the axis, or None if the axis does not carry `body`."""
+    def list_bodies_up_to_axis(body: int) -> list[int] | None:
+        """Return the bodies from `body` up to the one that the axis moves, or None if the axis does not carry `body`."""
         bodies = [body]
         while bodies[-1] and bodies[-1] != home:
             bodies.append(int(model.body_parentid[bodies[-1]]))
         return bodies if bodies[-1] == home else None
 
-    candidates = {f"site {model.site(k).name}": (1 + k, chain(int(model.site_bodyid[k]))) for k in range(model.nsite)}
-    candidates |= {f"body {model.body(k).name}": (-k, chain(k)) for k in range(1, model.nbody)}
+    candidates = {
+        f"site {model.site(k).name}": (1 + k, list_bodies_up_to_axis(int(model.site_bodyid[k])))
+        for k in range(model.nsite)
+    }
+    candidates |= {f"body {model.body(k).name}": (-k, list_bodies_up_to_axis(k)) for k in range(1, model.nbody)}
     carried = {
         name: (point, bodies) for name, (point, bodies) in candidates.items() if bodies is not None and name.split()[1:]
     }

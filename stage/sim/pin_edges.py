@@ -39,15 +39,15 @@ of an OBSERVED_AXIS for each axis; address, room and number of SWITCH_EDGE recor
 
 
 @hot
-def _observe_switches(handle, player, first_note):
-    """Store the switch edges that the engine has logged, from log entry `first_note` on."""
-    notes = array_at(handle.edges, handle.edge_room, EDGE)
+def _observe_switches(handle, player, first_entry):
+    """Store the switch edges that the engine has logged, from entry `first_entry` of its edge log on; `player` is a LINE_PLAYER."""
+    entries = array_at(handle.edges, handle.edge_room, EDGE)
     axes, switch_edges = (
         array_at(player.axes, handle.n_axes, OBSERVED_AXIS),
         array_at(player.switch_edges, player.room, SWITCH_EDGE),
     )
-    for k in range(first_note, handle.noted):
-        e = notes[k]
+    for k in range(first_entry, handle.noted):
+        e = entries[k]
         if e.kind != INPUT:
             continue
         axis = axes[e.axis]

@@ -198,14 +198,14 @@ class State:
                 c.wire = leaders[chip].find_syno_address(rows_of[leaders[chip]])
             c.link = 1 if chip in linked else 0
 
-    def _compute_slice_ends(self, hz: int) -> np.ndarray:
+    def _compute_slice_ends(self, clock_hz: int) -> np.ndarray:
         """Return the SLICE_END records of a window, for chips with this reference clock."""
-        if hz not in self.slice_ends:
+        if clock_hz not in self.slice_ends:
             ns = [(k + 1) * self.dt // engine_records.SLICES for k in range(engine_records.SLICES)]
-            self.slice_ends[hz] = np.array(
-                [divmod(end * hz, core_interface.SLICE_REST_UNIT) for end in ns], core_interface.SLICE_END
+            self.slice_ends[clock_hz] = np.array(
+                [divmod(end * clock_hz, core_interface.SLICE_REST_UNIT) for end in ns], core_interface.SLICE_END
             )
-        return self.slice_ends[hz]
+        return self.slice_ends[clock_hz]
 
     def _set_axis_table(
         self,

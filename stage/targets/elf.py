@@ -224,13 +224,13 @@ def get_avr_architecture(mcu: str) -> int:
     return 4 if re.fullmatch(r"atmega(8l?|48p?a?|88p?a?)", mcu) else 5
 
 
-def check_avr(elf: Elf, mcu: str, how: str) -> None:
+def check_avr(elf: Elf, mcu: str, option: str) -> None:
     """Check that a program was built for this AVR, or for one that runs the same programs.
 
     Args:
         elf: The program.
         mcu: Name of the AVR.
-        how: Command that builds a program, for the message.
+        option: Command that builds a program, for the message.
 
     Raises:
         LibraryError: The program was built for another AVR.
@@ -241,7 +241,7 @@ def check_avr(elf: Elf, mcu: str, how: str) -> None:
     if number > _UNKNOWN_ARCHITECTURE and (number != wanted or other_name):
         target = f"{name} (architecture avr{number})" if name else f"an AVR of the architecture avr{number}"
         hint = f"Run it with --mcu {name}, or build it" if name in AVRS else "Build it"
-        raise LibraryError(f"{elf.path} was built for {target}, and {mcu} is an avr{wanted}. {hint} by {how}.")
+        raise LibraryError(f"{elf.path} was built for {target}, and {mcu} is an avr{wanted}. {hint} by {option}.")
 
 
 def _strip_variant_letters(name: str) -> str:
@@ -270,13 +270,13 @@ def read_mmcu(elf: Elf) -> dict[int, bytes]:
 # --- Cortex-M ---
 
 
-def check_arm(elf: Elf, mcu: str, how: str) -> None:
+def check_arm(elf: Elf, mcu: str, option: str) -> None:
     """Check that a Cortex-M has all instructions that a program was built for.
 
     Args:
         elf: The program.
         mcu: Name of the processor.
-        how: Command that builds a program, for the message; it contains {mcu}.
+        option: Command that builds a program, for the message; it contains {mcu}.
 
     Raises:
         LibraryError: The program needs another processor or a floating-point unit.
@@ -296,7 +296,7 @@ def check_arm(elf: Elf, mcu: str, how: str) -> None:
     runs = [name for name in _ARM_RUNS if arch in _ARM_RUNS[name] and (name == "cortex-m4" or not floats)]
     hint = f"Run it with --mcu {runs[0]}, or build it" if profile == "M" and runs else "Build it"
     raise LibraryError(
-        f"{elf.path} was built for {target}, and this is {add_article(mcu)}. {hint} by {how.format(mcu=mcu)}."
+        f"{elf.path} was built for {target}, and this is {add_article(mcu)}. {hint} by {option.format(mcu=mcu)}."
     )
 
 

@@ -57,34 +57,36 @@ class DebugRegisters:
             f'{architecture}</architecture><feature name="{feature}">{xml}</feature></target>'
         )
 
-    def read(self, n: int) -> int:
+    def read(self, number: int) -> int:
         """Read a register.
 
         Args:
-            n: Number of the register in GDB's order.
+            number: Number of the register in GDB's order.
 
         Returns:
             Value of the register; 0 for one that the processor does not have.
         """
-        if n >= len(self._names):
+        if number >= len(self._names):
             return 0
         return int(
-            self._cpu.get_program_counter() if self._names[n] == self._pc else self._cpu.get_register(self._names[n])
+            self._cpu.get_program_counter()
+            if self._names[number] == self._pc
+            else self._cpu.get_register(self._names[number])
         )
 
-    def write(self, n: int, value: int) -> None:
+    def write(self, number: int, value: int) -> None:
         """Write a register, unless the processor does not have it.
 
         Args:
-            n: Number of the register in GDB's order.
+            number: Number of the register in GDB's order.
             value: The new value.
         """
-        if n >= len(self._names):
+        if number >= len(self._names):
             return
-        if self._names[n] == self._pc:
+        if self._names[number] == self._pc:
             self._cpu.set_program_counter(value)
         else:
-            self._cpu.set_registers(**{self._names[n]: value})
+            self._cpu.set_registers(**{self._names[number]: value})
 
 
 def make_cortex_registers(cpu: Any) -> DebugRegisters:

@@ -133,47 +133,47 @@ class Nvic:
 
     # --- registers ---
 
-    def read(self, at: int) -> int:
+    def read(self, offset: int) -> int:
         """Return a register of 32 bits.
 
         Args:
-            at: Offset of the register from E0000000h, a multiple of 4.
+            offset: Offset of the register from E0000000h, a multiple of 4.
         """
         values = {_RELOAD: self._reload, _VTOR: self.vectors, _CPUID: 0x412FC231, _AIRCR: 0xFA050000, _STIMULUS: 1}
-        if at == _CONTROL:
+        if offset == _CONTROL:
             return self._control | self._read_and_clear_countflag()
-        if at == _VALUE:
+        if offset == _VALUE:
             return self._read_systick_count()
-        if at == _ICSR:
+        if offset == _ICSR:
             return self.get_active_exception() | (PENDSV in self._pending) << 28 | (SYSTICK in self._pending) << 26
-        if at == _CYCLES:
+        if offset == _CYCLES:
             return self._now() & 0xFFFFFFFF
         for begin, end, numbers in (
             (0xE100, 0xE200, self._enabled), (0xE200, 0xE300, self._pending), (0xE300, 0xE320, self._active),
         ):  # fmt: skip
-            if begin <= at < end:
-                return self._pack_register_bits(set(numbers), at & 0x1C)
-        if (first := self._find_first_priority(at)) is not None:
+            if begin <= offset < end:
+                return self._pack_register_bits(set(numbers), offset & 0x1C)
+        if (first := self._find_first_priority(offset)) is not None:
             return sum(self._priority.get(first + k, 0) << 8 * k for k in range(4))
-        return values.get(at, self._other.get(at, 0))
+        return values.get(offset, self._other.get(offset, 0))
 
     @staticmethod
-    def _find_first_priority(at: int) -> int | None:
+    def _find_first_priority(offset: int) -> int | None:
         """Return the first exception whose priority a register contains, or None."""
-        if 0xE400 <= at < 0xE400 + IRQS:
-            return FIRST + at - 0xE400
-        return 4 + at - _SHPR if _SHPR <= at < _SHPR + 12 else None
+        if 0xE400 <= offset < 0xE400 + IRQS:
+            return FIRST + offset - 0xE400
+        return 4 + offset - _SHPR if _SHPR <= offset < _SHPR + 12 else None
 
     @staticmethod
-    def _pack_register_bits(numbers: set[int], at: int) -> int:
-        """Return a 32-bit register with a bit for each exception in `numbers`, for the register at offset `at` of its group."""
-        return sum(1 << n - FIRST - at * 8 for n in numbers if 0 <= n - FIRST - at * 8 < 32)
+    def _pack_register_bits(numbers: set[int], offset: int) -> int:
+        """Return a 32-bit register with a bit for each exception in `numbers`, for the register at offset `offset` of its group."""
+        return sum(1 << n - FIRST - offset * 8 for n in numbers if 0 <= n - FIRST - offset * 8 < 32)
 
-    def write(self, at: int, value: int, size: int, byte: int) -> bool:
+    def write(self, offset: int, value: int, size: int, byte: int) -> bool:
         """Write a register.
 
         Args:
-            at: Offset of the register.
+            offset: Offset of the register.
             value: Written bytes at their position in 32 bits.
             size: Number of written bytes.
             byte: Index of the first written byte.
@@ -181,33 +181,33 @@ class Nvic:
         Returns:
             Whether the program requests a reset.
         """
-        if at in (_CONTROL, _RELOAD, _VALUE):
-            self._write_systick(at, value)
-        elif 0xE100 <= at < 0xE300:
-            numbers = {FIRST + (at & 0x1C) * 8 + k for k in range(32) if value >> k & 1}
-            which = self._enabled if at < 0xE200 else self._pending
-            (which.difference_update if at & 0x80 else which.update)(numbers)
-        elif (first := self._find_first_priority(at)) is not None:
+        if offset in (_CONTROL, _RELOAD, _VALUE):
+            self._write_systick(offset, value)
+        elif 0xE100 <= offset < 0xE300:
+            numbers = {FIRST + (offset & 0x1C) * 8 + k for k in range(32) if value >> k & 1}
+            which = self._enabled if offset < 0xE200 else self._pending
+            (which.difference_update if offset & 0x80 else which.update)(numbers)
+        elif (first := self._find_first_priority(offset)) is not None:
             for k in range(byte, byte + size):
                 self._priority[first + k] = value >> 8 * k & 0xFF
-        elif at == _ICSR:
+        elif offset == _ICSR:
             for bit, number, on in ((28, PENDSV, True), (27, PENDSV, False), (26, SYSTICK, True), (25, SYSTICK, False)):
                 if value >> bit & 1:
                     (self._pending.add if on else self._pending.discard)(number)
-        elif at == _VTOR:
+        elif offset == _VTOR:
             self.vectors = value & ~0x7F
-        elif at == _AIRCR:
+        elif offset == _AIRCR:
             return bool(value & _RESET)
         else:
-            self._other[at] = value
+            self._other[offset] = value
         return False
 
-    def _write_systick(self, at: int, value: int) -> None:
+    def _write_systick(self, offset: int, value: int) -> None:
         """Write a register of SysTick."""
-        if at == _RELOAD:
+        if offset == _RELOAD:
             self._reload = value & 0xFFFFFF
             return
-        if at == _VALUE or (value & 1 and not self._control & 1):
+        if offset == _VALUE or (value & 1 and not self._control & 1):
             self._started, self._flagged = self._now(), 0
-        if at == _CONTROL:
+        if offset == _CONTROL:
             self._control = value & 7

@@ -134,13 +134,13 @@ class Pc(UnicornProcessor):
         self.write(ROM, TIMER_ROUTINE_AT, TIMER_ROUTINE)
 
     @staticmethod
-    def get_default_vector(n: int) -> tuple[int, int]:
+    def get_default_vector(interrupt_number: int) -> tuple[int, int]:
         """Return offset and segment of the default routine of an interrupt."""
-        return (TIMER_ROUTINE_AT if n == 8 else STUBS + n), ROM
+        return (TIMER_ROUTINE_AT if interrupt_number == 8 else STUBS + interrupt_number), ROM
 
-    def read_vector(self, n: int) -> tuple[int, int]:
+    def read_vector(self, interrupt_number: int) -> tuple[int, int]:
         """Return offset and segment of the current routine of an interrupt."""
-        offset, segment = struct.unpack("<HH", self.read(0, 4 * n, 4))
+        offset, segment = struct.unpack("<HH", self.read(0, 4 * interrupt_number, 4))
         return offset, segment
 
     def _load_program(self, path: Path) -> None:

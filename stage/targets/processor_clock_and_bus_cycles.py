@@ -143,7 +143,7 @@ def _find_port(cpu, address, size):
 
 @exported("i8", "i8", "i8", "i4", PAGE)
 def load_from_window(_uc, offset, size, page):
-    """Return bytes at an offset in a page of memory with windows. Unicorn calls this."""
+    """Return bytes from a page with memory windows, which are addresses of ports of the board. Unicorn calls this."""
     cpu = array_at(page.machine, 1, MACHINE)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port < 0:
@@ -155,7 +155,7 @@ def load_from_window(_uc, offset, size, page):
 
 @exported(None, "i8", "i8", "i4", "i8", PAGE)
 def store_to_window(_uc, offset, size, value, page):
-    """Store bytes at an offset in a page of memory with windows. Unicorn calls this."""
+    """Store bytes in a page with memory windows, which are addresses of ports of the board. Unicorn calls this."""
     cpu = array_at(page.machine, 1, MACHINE)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port >= 0:
@@ -164,9 +164,9 @@ def store_to_window(_uc, offset, size, value, page):
 
 
 @hot
-def request(cpu, code, a, b):
-    """Execute a request to the board and return its answer. `code` is the kind of the request; `a` and `b` are its operands."""
-    return _request(cpu.request, (cpu.host, code, a, b))
+def request(cpu, kind, first_operand, second_operand):
+    """Execute a request of a kind (IN8, OUT8 ...) with two operands to the board, and return its answer."""
+    return _request(cpu.request, (cpu.host, kind, first_operand, second_operand))
 
 
 @hot
@@ -182,11 +182,11 @@ def advance_board(cpu, cycles):
 
 
 @hot
-def bus_cycle(cpu, cycles, code, port, value):
+def bus_cycle(cpu, cycles, kind, port, value):
     """Make a bus cycle that ends when the processor has run a number of cycles; return the answer."""
     host = array_at(cpu.host, 1, HOST)[0]
     end = compute_time(cpu, cycles)
     request(cpu, UNTIL, end - host.bus, 0)
-    answer = request(cpu, code, port, value)
+    answer = request(cpu, kind, port, value)
     cpu.waits += greatest(get_now(host) - end, 0)
     return answer

@@ -29,7 +29,7 @@ from stage.targets.avr_bus_wiring import AvrBus, BusPins, encode_ioctl_request
 from stage.targets.avr_step_dir_pins import AvrLines
 from stage.targets.avr_uart import AvrUart
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
-from stage.targets.simavr_register_handlers import SimavrOverlay
+from stage.targets.simavr_register_handlers import SimavrRegisterHandlers
 
 BUILD_COMMAND = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
 DEFAULT_HZ = 16_000_000
@@ -219,7 +219,7 @@ class LoadedAvr:
         self._disconnect_upper_analog_inputs()
         self._load_content()
         self._call_library("avr_reset")
-        self._overlay = SimavrOverlay(self._simavr.library, self._avr)
+        self._overlay = SimavrRegisterHandlers(self._simavr.library, self._avr)
         self._has_lines = bool(program.lines)
         irq = program.pins.irq if program.pins else None
         self._make_record(irq, hz)

@@ -1,4 +1,4 @@
-"""`SimavrOverlay`: connects compiled functions to an AVR of simavr, so that the AVR behaves as in the data sheet.
+"""`SimavrRegisterHandlers`: connects compiled functions to an AVR of simavr, so that the AVR behaves as in the data sheet.
 
 simavr calls a function for each access to a register. The overlay replaces simavr's functions by its own, and calls simavr's in the
 modes of a timer that only simavr emulates.
@@ -30,7 +30,7 @@ _FUNCTIONS = {
 }  # fmt: skip
 
 
-class SimavrOverlay:
+class SimavrRegisterHandlers:
     """Exact timers of an AVR, the response time of its interrupts, and the flags of its UARTs, with effect from the last reset on.
 
     Args:
@@ -90,11 +90,11 @@ class SimavrOverlay:
         self._pointers.append(function.pointer)
         return ctypes.cast(function.pointer, ctypes.c_void_p).value or 0
 
-    def _fill_timer(self, k: int, address: int) -> None:
-        """Fill the TIMER record number `k` for the timer of simavr at an address."""
-        timer, row = view_structure(address, simavr_structure_offsets.TIMER), self._timers[k]
-        row["own"], row["simavr"] = address_of(self._timers[k : k + 1]), self._simavr.ctypes.data
-        row["units"] = self._units[k].ctypes.data
+    def _fill_timer(self, timer_index: int, address: int) -> None:
+        """Fill the TIMER record number `timer_index` for the timer of simavr at an address."""
+        timer, row = view_structure(address, simavr_structure_offsets.TIMER), self._timers[timer_index]
+        row["own"], row["simavr"] = address_of(self._timers[timer_index : timer_index + 1]), self._simavr.ctypes.data
+        row["units"] = self._units[timer_index].ctypes.data
         for name in ("count_low", "count_high", "capture_edge", "asynchronous", "modes", "clocks", "shifts"):
             row[name] = timer[name]
         row["kinds"], row["tops"] = timer["kinds"] >> 24, timer["kinds"] & 0xFF
@@ -106,26 +106,29 @@ class SimavrOverlay:
         compare = address + get_offset(simavr_structure_offsets.TIMER, "compare")
         places = [compare + n * simavr_structure_offsets.COMPARE.itemsize for n in range(CAPTURE)]
         places += [address + get_offset(simavr_structure_offsets.TIMER, name) for name in ("overflow", "capture")]
-        vectors = [self._fill_vector(k, n, place) for n, place in enumerate(places)]
+        vectors = [self._fill_vector(timer_index, n, place) for n, place in enumerate(places)]
         row["overflow"], row["capture"] = vectors[CAPTURE:]
         for n, unit in enumerate(timer["compare"]):
             pin = unit["pin"] if unpack_register_address(unit["pin"]) else 0
             irq = simavr_structure_offsets.find_output_irq(address, n)
-            self._units[k, n] = unit["low"], unit["high"], 0, 0, vectors[n], unit["mode"], pin, irq, 0
-        self._units[k, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0, 0)
+            self._units[timer_index, n] = unit["low"], unit["high"], 0, 0, vectors[n], unit["mode"], pin, irq, 0
+        self._units[timer_index, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0, 0)
 
-    def _fill_vector(self, k: int, n: int, address: int) -> int:
-        """Fill the VECTOR record `n` of timer `k` for the interrupt of simavr at an address.
+    def _fill_vector(self, timer_index: int, unit_index: int, address: int) -> int:
+        """Fill the VECTOR record `unit_index` of timer `timer_index` for the interrupt of simavr at an address.
 
         Returns:
             Address of the record, or 0 if there is no such interrupt.
         """
-        vector, row = view_structure(address, simavr_structure_offsets.VECTOR), self._vectors[k, n : n + 1]
+        vector, row = (
+            view_structure(address, simavr_structure_offsets.VECTOR),
+            self._vectors[timer_index, unit_index : unit_index + 1],
+        )
         if not vector["number"] or not unpack_register_address(vector["flag"]):
             return 0
         pending = address + get_offset(simavr_structure_offsets.VECTOR, "pending")
         bits = [get(vector[name]) for name in ("enable", "flag") for get in (unpack_register_address, unpack_bit_mask)]
-        row[0] = (self._timers[k]["own"], address, pending, *bits)
+        row[0] = (self._timers[timer_index]["own"], address, pending, *bits)
         return address_of(row)
 
     def _connect_timer(self, row: np.ndarray, timer: Any) -> None:

@@ -136,7 +136,7 @@ class UnicornProcessor:
     # --- calls of Unicorn ---
 
     def add_hook(self, kind: int, function: Any, instruction: int = 0) -> None:
-        """Register a compiled function that Unicorn calls with the MACHINE record.
+        """Register a compiled function that Unicorn calls with the MACHINE record of processor_clock_and_bus_cycles.py.
 
         Args:
             kind: Kind of the hook in Unicorn.

@@ -207,4 +207,4 @@ def compute_registers(
         ArgumentError: No move of this length is possible.
     """
     p = plan_profile(Load.from_axis(axis), pulses, safety_factor)
-    return get_driver(axis).compute_move_registers(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)
+    return get_driver(axis).compute_move_registers(p.fl, p.fh1, p.get_accel_time(), p.get_decel_time(), pulses, s_curve)

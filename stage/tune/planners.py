@@ -95,7 +95,7 @@ class MovePlanner(ABC):
 
     def _describe_max_payload(self, safety_factor: float) -> str:
         """Find the largest payload that the formula accepts, by bisection, and describe it in words."""
-        low, high = 0.0, self.task.max_payload
+        low, high = 0.0, self.task.payload_with_margin
         try:
             compute_speeds(self.build_load(0.0), self.task.pulses, safety_factor)
         except ArgumentError:

@@ -120,7 +120,7 @@ class TuningResult:
         proof = answer.proof
         prefix = "" if proof.is_passed else "NOT proved: "
         counts = f"{proof.good_count} of {proof.move_count} drawn machines"
-        return f"{prefix}{criterion} in {counts} with up to {self.task.max_payload:.3g} kg"
+        return f"{prefix}{criterion} in {counts} with up to {self.task.payload_with_margin:.3g} kg"
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:
@@ -128,7 +128,7 @@ class TuningResult:
         return find_spreads(self.task.stage.axes[self.task.axis]) | {
             "payload": Spread(
                 0.0,
-                self.task.max_payload,
+                self.task.payload_with_margin,
                 "kg",
                 False,
                 "as asked for, a quarter each with none, all, and all and the margin",

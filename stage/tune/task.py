@@ -170,7 +170,7 @@ class Task:
         return f"with up to {self.payload:g} kg" if self.payload else "with nothing on it"
 
     @property
-    def max_payload(self) -> float:
+    def payload_with_margin(self) -> float:
         """Payload plus margin, kg."""
         return self.payload + float(self.margin or 0.0)
 
@@ -204,20 +204,24 @@ class Task:
         return copy.deepcopy(self.stage)
 
     def build_corner_cases(
-        self, rng: np.random.Generator, angles: int, margin_factor: float = 1.0, machines: Iterable[Machine] = ()
+        self,
+        rng: np.random.Generator,
+        angles: int,
+        payload_margin_factor: float = 1.0,
+        machines: Iterable[Machine] = (),
     ) -> list[MoveCase]:
         """Combine the extreme payloads with evenly spaced rotor angles and both directions.
 
         Args:
             rng: Source of the first rotor angle.
             angles: Number of rotor angles for each payload.
-            margin_factor: Multiple of the margin in the heaviest payload.
+            payload_margin_factor: Multiple of the margin in the heaviest payload.
             machines: Machines of the heaviest cases; where they end, the task's own machine makes the moves.
 
         Returns:
             Cases without a payload, with the payload, and with the payload and its margin.
         """
-        payloads = sorted({0.0, self.payload, self._compute_payload_with_margin(margin_factor)})
+        payloads = sorted({0.0, self.payload, self._compute_payload_with_margin(payload_margin_factor)})
         first, n = rng.uniform(0, 1), angles * len(payloads)
         turns = [(first + k / n) % 1.0 - 0.5 for k in range(n)]
         cases = [
@@ -228,20 +232,20 @@ class Task:
         return _assign_machines(cases[::-1], machines)[::-1]
 
     def draw_cases(
-        self, rng: np.random.Generator, moves: int, margin_factor: float = 1.0, machines: Iterable[Machine] = ()
+        self, rng: np.random.Generator, moves: int, payload_margin_factor: float = 1.0, machines: Iterable[Machine] = ()
     ) -> list[MoveCase]:
         """Draw cases at random rotor angles in both directions.
 
         Args:
             rng: Source of the random numbers.
             moves: Number of cases.
-            margin_factor: Multiple of the margin in the heaviest payload.
+            payload_margin_factor: Multiple of the margin in the heaviest payload.
             machines: Machines of the cases, one each; where they end, the task's own machine makes the moves.
 
         Returns:
             Cases, a quarter of them at each extreme payload and a quarter at random payloads in between.
         """
-        corners = (0.0, self.payload, self._compute_payload_with_margin(margin_factor))
+        corners = (0.0, self.payload, self._compute_payload_with_margin(payload_margin_factor))
         payloads = [corners[k % 4] if k % 4 < 3 else float(rng.uniform(0, corners[2])) for k in range(moves)]
         cases = [
             MoveCase(payload, self.pulses_per_electrical_turn * float(rng.uniform(-0.5, 0.5)), 1 - 2 * (k // 4 % 2))
@@ -249,9 +253,9 @@ class Task:
         ]
         return _assign_machines(cases, machines)
 
-    def _compute_payload_with_margin(self, margin_factor: float) -> float:
+    def _compute_payload_with_margin(self, payload_margin_factor: float) -> float:
         """Return the payload plus a multiple of the margin, kg."""
-        return self.payload + margin_factor * float(self.margin or 0.0)
+        return self.payload + payload_margin_factor * float(self.margin or 0.0)
 
     def is_within_payload(self, cases: list[MoveCase]) -> np.ndarray:
         """Mark the cases whose payload does not exceed the task's payload.

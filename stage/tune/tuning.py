@@ -104,8 +104,8 @@ def tune(
         elif not formula_answer.is_proved:
             advice = "let it search (--by search)" if by == "formula" else "search longer (--trials)"
             raise StageError(
-                f"no registers are proved with up to {task.max_payload:.3g} kg: a proof wants every drawn machine to be good. Of "
-                f"the formula's {formula_answer.proof.describe()}."
+                f"no registers are proved with up to {task.payload_with_margin:.3g} kg: a proof wants every drawn machine to be "
+                f"good. Of the formula's {formula_answer.proof.describe()}."
                 f"{_describe_strongest_failure(planner, cases.proof, formula_answer.proof)} "
                 f"Ask for less payload or spare, give more room (--settle, --overshoot), or {advice}."
             )
@@ -274,7 +274,7 @@ def _find_formula_plan(runner: MoveRunner, planner: MovePlanner, cases: Any) -> 
                 break
     if not outcomes.kept_step.all():
         raise StageError(
-            f"axis {task.axis} with up to {task.max_payload:g} kg: the formula's registers lose steps, {TRIED_TEXT}. "
+            f"axis {task.axis} with up to {task.payload_with_margin:g} kg: the formula's registers lose steps, {TRIED_TEXT}. "
             f"{_describe_largest_payload(runner, planner, cases)}"
         )
     if np.isnan(outcomes.arrival_times[0, within_payload]).any():
@@ -294,7 +294,7 @@ def _describe_largest_payload(runner: MoveRunner, planner: MovePlanner, cases: A
     """Describe the largest payload with which the formula's registers keep step."""
     task = runner.task
     plan = planner.build_formula_plan(SAFETY_FACTOR)
-    payloads = np.linspace(0.0, task.max_payload, 9)
+    payloads = np.linspace(0.0, task.payload_with_margin, 9)
     few_cases = cases[:: max(len(cases) // 4, 1)][:4]
     load_cases = [case._replace(payload=float(kg)) for kg in payloads for case in few_cases]
     kept_step = runner.run_moves([plan], load_cases, _estimate_time_limit(task, plan)).kept_step

@@ -202,7 +202,7 @@ def test_a_profile_reaches_the_requested_rates_within_2_percent(rates):
     if fl >= 100:
         assert p.fl == pytest.approx(fl, rel=0.02)
         assert p.fh1 == pytest.approx(fh1, rel=0.02)
-        assert p.accel(fh2=True) == pytest.approx(accel, rel=0.02)
+        assert p.get_accel_time(fh2=True) == pytest.approx(accel, rel=0.02)
     assert p.fh2 == pytest.approx(fh2, rel=0.05)
 
 

@@ -69,12 +69,17 @@ def test_an_end_limit_before_the_index_pulse_is_not_reported_as_origin(ez, chip)
     x = make_axis_at(3000, chip=chip)
     report = firmware.origin_return(x, -1, P, ez=ez, approach=500)
     assert (report.stopped_by, x.rail_position, report.ok) == ("EL-", LOW, False)
-    assert x.chip.values()["R1"] == round(500 / P.step), "the speed of the approach, as on every chip"
+    assert x.chip.values()["R1"] == round(500 / P.rate_per_speed_step), "the speed of the approach, as on every chip"
 
 
 def test_the_approach_is_at_most_fl_and_at_least_one_speed_step():
     """firmware.origin_return(axis, -1, P, approach=1e4)"""
-    for approach, r1 in [(0.4 * P.step, 1), (500, round(500 / P.step)), (1e4, P.R1), (P.step * 8191, P.R1)]:
+    for approach, r1 in [
+        (0.4 * P.rate_per_speed_step, 1),
+        (500, round(500 / P.rate_per_speed_step)),
+        (1e4, P.R1),
+        (P.rate_per_speed_step * 8191, P.R1),
+    ]:
         x = make_axis_at(30)
         report = firmware.origin_return(x, -1, P, approach=approach, back_off=3)
         assert (report.stopped_by, x.rail_position) == ("ORG", 0)
@@ -149,7 +154,9 @@ def test_invalid_arguments_of_an_origin_return_are_refused_before_the_first_bus_
     assert x.time == 0.0
 
 
-@pytest.mark.parametrize(("approach", "speed"), [(1500.0, P.R1), (400.0, round(400 / P.step)), (0.01, 1)])
+@pytest.mark.parametrize(
+    ("approach", "speed"), [(1500.0, P.R1), (400.0, round(400 / P.rate_per_speed_step)), (0.01, 1)]
+)
 def test_the_last_approach_has_its_rate_but_at_most_fl(approach, speed):
     """firmware.origin_return(x, -1, P, approach=1500.0) with FL = 1000 pps"""
     x = make_axis_at(300)

@@ -53,7 +53,7 @@ def notes(report):
     return (
         get_driver_class(report.waveforms.chip)
         .PATTERN_CLASS(report)
-        .make_notes(report.waveforms.seconds - report.began)
+        .make_annotations(report.waveforms.seconds - report.began)
     )
 
 
@@ -172,9 +172,9 @@ def test_notes_never_overlap(reports, monkeypatch):
     )  # the same words stand in many
     for report in reports.values():
         t = report.waveforms.seconds - report.began
-        notes = get_driver_class(report.waveforms.chip).PATTERN_CLASS(report).make_notes(t)
+        notes = get_driver_class(report.waveforms.chip).PATTERN_CLASS(report).make_annotations(t)
         limits, width = plot_move._compute_time_range(report, t), 500.0
-        rows = plot_move._assign_note_rows(notes, limits, width)
+        rows = plot_move._assign_annotation_rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
         for k, note in enumerate(notes):
             end = at[k] + plot_move._measure_text_width(note.code, True) + plot_move._measure_text_width(note.words)

@@ -170,7 +170,7 @@ def test_ramps_last_the_requested_time(stage):
 def test_a_chip_without_a_second_rate_moves_at_the_higher_one(stage):
     x = stage.axes["x"]
     report = move_at_two_rates(
-        x, pulses=16_000, speed=Speeds(drive=10_000, up=0.05, down=0.05).with_second(20_000), dwell=0.1
+        x, pulses=16_000, speed=Speeds(drive=10_000, up=0.05, down=0.05).with_second_rate(20_000), dwell=0.1
     )
     assert report.ok
     assert report.peak_rate == pytest.approx(20_000, rel=0.05)
@@ -301,7 +301,7 @@ def test_the_drawing_of_a_run_has_the_command_that_stopped_it(stage):
     """firmware.jog(axis, 0.1, 0.02).plot()"""
     x = stage.axes["x"]
     report = firmware.jog(x, 0.05, 0.02, accel=0.2)
-    notes = get_driver(x).PATTERN_CLASS(report).make_notes(report.waveforms.seconds - report.began)
+    notes = get_driver(x).PATTERN_CLASS(report).make_annotations(report.waveforms.seconds - report.began)
     assert [note.words for note in notes if "decelerating stop" in note.words] == ["X decelerating stop"]
 
 
@@ -591,7 +591,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10_000
     pattern = get_driver_class(type(stage.axes["x"].chip)).PATTERN_CLASS(report)
     t = report.waveforms.seconds - report.began
-    notes = pattern.make_notes(t)
+    notes = pattern.make_annotations(t)
     assert any(not n.event for n in notes), "the start command"
     assert notes[-1].event, "why it stopped"
     assert pattern.list_lanes()
@@ -602,7 +602,8 @@ def test_the_drawing_of_a_line_names_its_interpolation_and_omits_register_writes
     axes = Stage("xy", chips=MCX514, visuals=False).axes
     report = firmware.line({"x": 3e-3, "y": 1e-3}, axes).axes["x"]
     words = [
-        n.words for n in get_driver(axes["x"]).PATTERN_CLASS(report).make_notes(report.waveforms.seconds - report.began)
+        n.words
+        for n in get_driver(axes["x"]).PATTERN_CLASS(report).make_annotations(report.waveforms.seconds - report.began)
     ]
     assert "2-axis linear interpolation" in words
     assert not [w for w in words if "write" in w]
@@ -626,9 +627,9 @@ def test_a_fraction_of_a_pulse_is_refused(stage):
 
 
 def test_missing_speeds_have_defaults_and_ramps_keep_their_slopes():
-    """Speeds(1000, 16000, 0.1, 0.2).with_second(32000); firmware.move(x, speed=..., accel=0.1, decel=0.2) below the usual start"""
+    """Speeds(1000, 16000, 0.1, 0.2).with_second_rate(32000); firmware.move(x, speed=..., accel=0.1) below the usual start"""
     arguments = Speeds(1000.0, 16_000.0, 0.1, 0.2, True)
-    assert arguments.with_second(32_000.0) == Speeds(1000.0, 16_000.0, 0.2, 0.4, True, 32_000.0)
+    assert arguments.with_second_rate(32_000.0) == Speeds(1000.0, 16_000.0, 0.2, 0.4, True, 32_000.0)
     assert (
         get_default_speeds(SimpleNamespace(MICROSTEPS=0))
         == get_default_speeds(SimpleNamespace(MICROSTEPS=16))

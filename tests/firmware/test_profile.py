@@ -43,7 +43,7 @@ def test_a_profile_selects_the_finest_multiplier_that_reaches_its_rates():
     p = Profile.of()
     assert p.R3 > 8191 * 0.9
     assert (p.fl, p.fh1, p.fh2) == pytest.approx((1000, 16_000, 32_000), rel=2e-4)
-    assert p.accel(fh2=True) == pytest.approx(0.15, rel=1e-2)
+    assert p.get_accel_time(fh2=True) == pytest.approx(0.15, rel=1e-2)
 
 
 def test_an_explicit_multiplier_is_not_changed():
@@ -60,7 +60,7 @@ def test_rates_and_ramp_times_of_a_profile_are_those_of_the_chip():
     assert report.peak_rate == pytest.approx(p.fh2, rel=1e-12)
     waveform = report.waveforms
     up, down = (np.flatnonzero(waveform.pin(n)) for n in ("fup", "fdown"))
-    for ramp, seconds, rate in ((up, p.accel(fh2=True), p.R4), (down, p.decel(fh2=True), p.R5)):
+    for ramp, seconds, rate in ((up, p.get_accel_time(fh2=True), p.R4), (down, p.get_decel_time(fh2=True), p.R5)):
         step = rate / p.clock_hz  # the first of a ramp-up and the last of a ramp-down are made at FL
         assert waveform.seconds[ramp[-1] + 1] - waveform.seconds[ramp[0]] == pytest.approx(seconds, abs=1.01 * step)
 
@@ -148,9 +148,9 @@ def test_a_ramp_shape_keeps_the_ramp_times_to_the_selected_high_rate():
     plain = Profile.of(fl=500, fh1=4000, fh2=16_000, accel=0.2, decel=0.1, chip=PCL240MS)
     for fh2 in (False, True):
         curved = plain.with_ramp_shape(0.2, fh2)
-        assert curved.accel(fh2) == pytest.approx(plain.accel(fh2), rel=0.01)
-        assert curved.decel(fh2) == pytest.approx(plain.decel(fh2), rel=0.01)
-        assert curved.accel(not fh2) != pytest.approx(plain.accel(not fh2), rel=0.05)
+        assert curved.get_accel_time(fh2) == pytest.approx(plain.get_accel_time(fh2), rel=0.01)
+        assert curved.get_decel_time(fh2) == pytest.approx(plain.get_decel_time(fh2), rel=0.01)
+        assert curved.get_accel_time(not fh2) != pytest.approx(plain.get_accel_time(not fh2), rel=0.05)
 
 
 @pytest.mark.parametrize("spans", [(0, 4095), (4095, 0)])
@@ -197,9 +197,9 @@ def test_a_run_through_speeds_dwells_at_each_but_the_last():
 
 def test_the_upper_bound_of_the_duration_uses_fl_and_the_longer_ramp():
     p = Profile.of(1000, 8000, 8000, accel=0.1, decel=0.4)
-    assert p.estimate_seconds(500) == pytest.approx(500 / p.fl + 2 * p.decel(True))
+    assert p.estimate_seconds(500) == pytest.approx(500 / p.fl + 2 * p.get_decel_time(True))
     p = Profile.of(1000, 8000, 8000, accel=0.4, decel=0.1)
-    assert p.estimate_seconds(500) == pytest.approx(500 / p.fl + 2 * p.accel(True))
+    assert p.estimate_seconds(500) == pytest.approx(500 / p.fl + 2 * p.get_accel_time(True))
 
 
 def test_a_ramp_is_at_most_one_percent_shorter_than_requested():

@@ -113,10 +113,10 @@ def test_a_move_with_one_rate_may_have_any_length_and_direction(x):
 
 
 def test_rates_from_fl_to_the_maximum_of_the_multiplier_are_reached(x):
-    """firmware.speed_change_move(axis, 12_000, [P.fl, P.step * 8191], P); a thousandth below FL is FL"""
-    assert firmware.speed_change_move(x, 200_000, [8191 * P.step, P.fl], P, dwell=0.01).peak_rate == pytest.approx(
-        8191 * P.step
-    )
+    """firmware.speed_change_move(axis, 12_000, [P.fl, P.rate_per_speed_step * 8191], P); a thousandth below FL is FL"""
+    assert firmware.speed_change_move(
+        x, 200_000, [8191 * P.rate_per_speed_step, P.fl], P, dwell=0.01
+    ).peak_rate == pytest.approx(8191 * P.rate_per_speed_step)
     slow = firmware.speed_change_move(x, 300, [0.9991 * P.fl], P)
     assert set(slow.waveforms.edges["speed"][slow.waveforms.running]) == {P.R1}
 

@@ -54,10 +54,12 @@ def test_an_s_curve_takes_the_time_of_the_linear_ramp_it_replaces():
     for profile, _ in random_profiles(8, chip=PCL240MS):
         for s_curve in (True, 0.1, 0.3, 0.5):
             curved = profile.with_ramp_shape(s_curve)
-            assert curved.accel() == pytest.approx(profile.accel(), rel=0.5 / min(profile.R4, curved.R4) + 1e-9)
+            assert curved.get_accel_time() == pytest.approx(
+                profile.get_accel_time(), rel=0.5 / min(profile.R4, curved.R4) + 1e-9
+            )
         long = int(6 * profile.compute_pulses_through([profile.R2]))
         times = [firmware.preset_move(axis(PCL240MS), long, profile, s_curve=s).duration for s in SHAPES]
-        assert max(times) - min(times) < 0.02 * 2 * profile.accel() + 20 / profile.fl
+        assert max(times) - min(times) < 0.02 * 2 * profile.get_accel_time() + 20 / profile.fl
 
 
 def test_the_ramp_of_an_s_curve_starts_and_ends_gently():
@@ -90,7 +92,7 @@ def test_a_manual_s_curve_too_short_for_fh_takes_the_revised_r2_of_the_data_shee
     profile = Profile.of(fl=500, fh1=30_000, accel=0.2, s_curve=0.3, chip=PCL240MS)
     report = firmware.preset_move(axis(PCL240MS), 3000, profile, automatic=False)
     assert any("R2 <- " in meaning for _, _, meaning in report.writes())
-    assert report.peak_rate == pytest.approx(profile.for_distance(3000).fh1, abs=2 * profile.step)
+    assert report.peak_rate == pytest.approx(profile.for_distance(3000).fh1, abs=2 * profile.rate_per_speed_step)
     assert end_speed(report) == profile.R1
 
 

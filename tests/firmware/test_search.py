@@ -31,7 +31,7 @@ def decode_results(program, results, **choices):
     rows = np.array(
         [list((dict(zip(program.choices.ranges, program.choices.low, strict=True)) | choices).values())] * len(results)
     )
-    return program.read_results(table, rows)._asdict()
+    return program.decode_results(table, rows)._asdict()
 
 
 def make_results_of_four_runs(approach_status=S_ORG, index=0xFF, pulses=RESULTS, **changed_status):

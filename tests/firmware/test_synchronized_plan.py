@@ -174,8 +174,8 @@ def test_ramps_take_equal_times_on_all_axes():
     for ratio in (0.9, 0.61803, 0.25, 0.1):
         p = plan({"x": 40_000, "y": int(40_000 * ratio)}, rate=20_000, fl=800, accel=0.2, decel=0.35)
         x, y = p.axes["x"], p.axes["y"]
-        assert (x.accel, x.decel) == pytest.approx((0.2, 0.35), rel=0.01)
-        assert (y.accel, y.decel) == pytest.approx((0.2, 0.35), rel=0.02)
+        assert (x.accel_time, x.decel_time) == pytest.approx((0.2, 0.35), rel=0.01)
+        assert (y.accel_time, y.decel_time) == pytest.approx((0.2, 0.35), rel=0.02)
         assert x.fh == pytest.approx(20_000, rel=2e-3)
         assert y.fl / x.fl == pytest.approx(ratio, rel=0.2)  # a little faster: its first pulse comes earlier
 
@@ -184,7 +184,7 @@ def test_a_short_move_peaks_lower_on_all_axes_and_keeps_its_slope():
     p = plan({"x": 800, "y": 350}, rate=16_000, fl=1000, accel=0.15)
     x = p.axes["x"]
     assert 1000 < x.fh < 16_000
-    assert (x.fh - x.fl) / x.accel == pytest.approx(15_000 / 0.15, rel=0.02)
+    assert (x.fh - x.fl) / x.accel_time == pytest.approx(15_000 / 0.15, rel=0.02)
     assert p.notes == (f"800 pulses are too few for 16000 pps at this slope: peaks at {x.fh:.0f} pps",)
     assert p.deviation < 1
 

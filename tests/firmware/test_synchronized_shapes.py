@@ -91,7 +91,7 @@ def test_the_speed_follows_an_s():
     up = p.axes["x"]
     fl, fh = up.registers["R1"], up.registers["R2"]
     began = waveform.edges["clock"][np.argmax(~waveform.pin("hold"))]
-    at = {part: began + round(part * up.accel * up.clock_hz) for part in (0.25, 0.5, 0.75)}
+    at = {part: began + round(part * up.accel_time * up.clock_hz) for part in (0.25, 0.5, 0.75)}
     gained = [
         waveform.edges["speed"][np.searchsorted(waveform.edges["clock"], t, "right") - 1] - fl for t in at.values()
     ]
@@ -103,14 +103,14 @@ def test_ramps_take_the_requested_time_on_all_axes(chip, shape):
     for ratio in (0.9, 0.61803, 0.25):
         p = plan({"x": 40_000, "y": int(40_000 * ratio)}, rate=20_000, fl=800, accel=0.2, chips=chip, **shape)
         for a in p.axes.values():
-            assert (a.accel, a.decel) == pytest.approx((0.2, 0.2), rel=0.02)
+            assert (a.accel_time, a.decel_time) == pytest.approx((0.2, 0.2), rel=0.02)
         assert p.axes["x"].fh == pytest.approx(20_000, rel=2e-3)
 
 
 def test_unequal_ramps_may_be_s_curves():
     report = synchronized_move({"x": 30_000, "y": 13_000}, bench(PCL240MS), s_curve=True, accel=0.3, decel=0.1)
     x = report.plan.axes["x"]
-    assert (x.accel, x.decel) == pytest.approx((0.3, 0.1), rel=0.01)
+    assert (x.accel_time, x.decel_time) == pytest.approx((0.3, 0.1), rel=0.01)
     assert report.deviation.pulses < 1.1
 
 

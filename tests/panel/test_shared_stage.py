@@ -140,7 +140,7 @@ PROCEDURES = {
     "line": lambda x, y: firmware.line({x: 0.05, y: 0.03}),
     "jog": lambda x, y: firmware.jog(x, 60.0),
     "two rates": lambda x, y: get_driver(x).move_at_two_rates(
-        30_000, firmware.procedures.Speeds().with_second(24_000), 0.4
+        30_000, firmware.procedures.Speeds().with_second_rate(24_000), 0.4
     ),
 }
 

@@ -87,7 +87,7 @@ def test_two_rates_and_a_line_complete_their_steps():
     x.move(3_000, Speeds(1000, 4000, 0.1, 0.1))
     stage.run(0.2)
     assert tour.step.title == "Dual rate", "one speed is not two"
-    x.move_at_two_rates(12_000, Speeds(1000, 4000, 0.1, 0.1).with_second(12_000), 0.3)
+    x.move_at_two_rates(12_000, Speeds(1000, 4000, 0.1, 0.1).with_second_rate(12_000), 0.3)
     stage.run(0.2)
     assert tour.step.title == "Synchronized move"
     for driver in (x, y):

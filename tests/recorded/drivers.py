@@ -109,7 +109,7 @@ def read_answers(cls):
     results["there"] = [y.position, y.chip.net(y.chip_axis), h.is_running()]
     results["registers"] = {r.name: attempt(h.read_register, r.name) for r in y.chip.MAP.registers}
     results["no register"] = attempt(h.read_register, "R99")
-    results["two rates"] = attempt(h.move_at_two_rates, 900, SLOW.with_second(9000.0), 0.01)
+    results["two rates"] = attempt(h.move_at_two_rates, 900, SLOW.with_second_rate(9000.0), 0.01)
     h.start_continuous_move(-1, SLOW)
     stage.run(0.03)
     results["running"] = [h.is_running(), h.read_stop_reason()]

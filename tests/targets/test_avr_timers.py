@@ -40,7 +40,7 @@ each_timer = pytest.mark.parametrize("timer", TIMERS, ids=lambda r: f"timer {r.n
 def run_on_simavr(elf: Path, n_results: int) -> list[int]:
     """Run a program to its end on simavr with exact timers, and return its results."""
     from stage.targets.simavr import _open_library
-    from stage.targets.simavr_register_handlers import SimavrOverlay
+    from stage.targets.simavr_register_handlers import SimavrRegisterHandlers
     from stage.targets.simavr_structure_offsets import AVR as AVR_STRUCTURE
     from stage.targets.simavr_structure_offsets import view_structure
 
@@ -51,7 +51,7 @@ def run_on_simavr(elf: Path, n_results: int) -> list[int]:
     for segment in program.segments:
         library["avr_loadcode"](ctypes.c_void_p(avr), segment.content, len(segment.content), segment.at)
     library["avr_reset"](ctypes.c_void_p(avr))
-    overlay = SimavrOverlay(library, avr)
+    overlay = SimavrRegisterHandlers(library, avr)
     state = view_structure(avr, AVR_STRUCTURE)
     while state["pc"] != program.symbols["done"]:
         library["avr_run"](ctypes.c_void_p(avr))

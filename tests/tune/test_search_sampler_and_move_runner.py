@@ -85,7 +85,7 @@ def test_the_largest_payload_of_the_formula_is_one_of_nine_with_four_cases_each(
     ((registers, cases, limit),) = requested
     assert registers == [{"safety": SAFETY_FACTOR}]
     assert limit == pytest.approx(2 * (400 / 4000 + 0.1 + 0.2) + 0.3 + 0.02)
-    assert [c.payload for c in cases] == pytest.approx(np.repeat(np.linspace(0.0, task.max_payload, 9), 4))
+    assert [c.payload for c in cases] == pytest.approx(np.repeat(np.linspace(0.0, task.payload_with_margin, 9), 4))
     assert [(c.start_offset, c.direction) for c in cases[4:8]] == [(c.start_offset, c.direction) for c in CASES[:8:2]]
 
 

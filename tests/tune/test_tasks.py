@@ -74,9 +74,9 @@ def test_the_tolerance_and_an_electrical_turn_follow_the_microsteps_of_the_drive
 
 def test_a_margin_of_zero_is_allowed():
     task = make_task(margin=0.0)
-    assert (task.margin, task.max_payload) == (0.0, PAYLOAD)
+    assert (task.margin, task.payload_with_margin) == (0.0, PAYLOAD)
     assert {case.payload for case in task.build_corner_cases(np.random.default_rng(0), 2, 1.25)} == {0.0, PAYLOAD}
-    assert make_task(margin=0.0, payload=0.0).max_payload == 0.0
+    assert make_task(margin=0.0, payload=0.0).payload_with_margin == 0.0
 
 
 def test_a_guard_factor_increases_the_margin_and_not_the_payload():

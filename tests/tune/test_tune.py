@@ -315,7 +315,7 @@ def test_a_task_has_the_documented_defaults():
     assert (x.pulses, x.hold, x.pulses_per_electrical_turn, y.pulses_per_electrical_turn) == (PULSES, 0.05, 64, 4)
     assert (x.margin, y.margin) == pytest.approx((0.6, 0.3 * y.moving_mass))
     assert (x.tolerance, y.tolerance) == pytest.approx((16 * steps["x"], 10 * steps["y"]))
-    assert (x.overshoot, x.max_payload) == pytest.approx((2 * x.tolerance, 2.6))
+    assert (x.overshoot, x.payload_with_margin) == pytest.approx((2 * x.tolerance, 2.6))
     assert Task(stage, "x", pulses=PULSES, judge_at="work").overshoot == np.inf
     rng = np.random.default_rng(0)
     for cases in (x.build_corner_cases(rng, 2), x.draw_cases(rng, 16)):

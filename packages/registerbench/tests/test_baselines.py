@@ -60,7 +60,7 @@ def test_the_formula_loses_no_step_at_any_position_within_the_payload_tolerance(
 
 def test_the_formula_predicts_the_duration_of_its_move(axis):
     p = plan_profile(Load.from_axis(axis), DISTANCE)
-    ramps = formula.np.array([p.accel(), p.decel()])
+    ramps = formula.np.array([p.get_accel_time(), p.get_decel_time()])
     created = (p.fl + p.fh1) / 2 * ramps.sum()
     with MoveTuning(0.0, 1, distance=DISTANCE, lanes=1) as moves:
         formula.make_formula_move(moves)
@@ -92,7 +92,7 @@ def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower
     heavy = plan_profile(Load.from_axis(axis), DISTANCE)
     for slower in (careful, heavy):
         assert slower.fh1 < bare.fh1
-        assert slower.accel() / slower.fh1 > bare.accel() / bare.fh1
+        assert slower.get_accel_time() / slower.fh1 > bare.get_accel_time() / bare.fh1
 
 
 def test_the_formula_refuses_what_the_motor_cannot_move(axis):

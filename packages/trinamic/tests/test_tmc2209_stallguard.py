@@ -24,22 +24,22 @@ def measure(lam, emf, current=1.2, setup=(), period_ns=PERIOD_NS):
     return chip
 
 
-def read_results(loads, **setup):
+def decode_results(loads, **setup):
     return [measure(lam, emf, **setup).read_register("SG_RESULT") for lam, emf in loads]
 
 
 def test_the_result_falls_with_load_to_0_and_is_even_and_below_512():
-    results = read_results([(lam, 100) for lam in range(0, 1025, 128)])
+    results = decode_results([(lam, 100) for lam in range(0, 1025, 128)])
     assert results == sorted(results, reverse=True)
     assert (results[0] > 0, results[-1]) == (True, 0)
     assert all(result % 2 == 0 and result <= 510 for result in results)
-    assert read_results([(0, 1024)])[0] < 510
+    assert decode_results([(0, 1024)])[0] < 510
 
 
 def test_the_result_rises_with_speed_and_falls_with_current():
-    by_speed = read_results([(0, emf) for emf in (10, 50, 100, 200, 400)])
+    by_speed = decode_results([(0, emf) for emf in (10, 50, 100, 200, 400)])
     assert by_speed == sorted(set(by_speed))
-    by_current = [read_results([(0, 100)], current=current)[0] for current in (0.5, 1.0, 1.5, 2.0)]
+    by_current = [decode_results([(0, 100)], current=current)[0] for current in (0.5, 1.0, 1.5, 2.0)]
     assert by_current == sorted(set(by_current), reverse=True)
 
 

@@ -220,9 +220,9 @@ def read_counter(c, j):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, j, hz):
+def compute_pulse_rate(c, j, clock_hz):
     """Pulses a second."""
-    return c.speed * hz / c.hz if c.way else 0.0
+    return c.speed * clock_hz / c.hz if c.way else 0.0
 
 
 @exported(None, STATE, "i8", "f8", "f8")

@@ -150,7 +150,7 @@ class Return(HomeProgram):
         p.command(a, MAP.command("STOP").code).wait(self.settings.settle)
         self._store_result_index(name, p).read(a, 0)
 
-    def read_results(self, results, rows):
+    def decode_results(self, results, rows):
         values = {name: results[:, at] for name, at in self.result_indices.items()}
         timed_out = np.any([values[f"{name} time"] < 0 for name in ("leave", "search", "back", "approach")], axis=0)
         at_org = {name: values[name] & ORG != 0 for name in ("search", "back", "approach")}

@@ -107,7 +107,7 @@ class Recipe:
     is_like_c: bool = False
 
 
-def platform_of(
+def find_platform(
     name: str | None, sources: Sequence[Path], folders: Sequence[str | os.PathLike] = ()
 ) -> Platform | None:
     """Return the platform of that name, or that of a sketch, with the Arduino libraries of these folders; None for sources of none.

@@ -165,17 +165,17 @@ def write_byte(chip, address, value):
         chip.position_origin = encoder.read_count(chip)
     elif address in (maps.PORT, maps.PWM) or maps.PRESET_HIGH <= address <= maps.PRESET_LOW:
         if chip.mode == state.IDLE:
-            _write_idle_register(chip, address, value)
+            _write_register_in_init_idle(chip, address, value)
     else:
         chip.reg[address] = value & state.STORED[address]
         if address in (maps.PROPORTIONAL_LOW, maps.PROPORTIONAL_HIGH):
-            law.apply_early_velocity(chip, state.PROPORTIONAL)
+            law.apply_velocity_written_during_computation(chip, state.PROPORTIONAL)
         elif address == maps.INTEGRAL_VELOCITY:
-            law.apply_early_velocity(chip, state.INTEGRAL)
+            law.apply_velocity_written_during_computation(chip, state.INTEGRAL)
 
 
 @hot
-def _write_idle_register(chip, address, value):
+def _write_register_in_init_idle(chip, address, value):
     """Write a register that the chip accepts only in the mode Init/Idle."""
     if address == maps.PORT:
         motor_port.write_port(chip, value - PORT_ZERO)

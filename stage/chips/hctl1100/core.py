@@ -44,7 +44,7 @@ def run(chip, until):
     while chip.clock < until:
         if chip.mode == state.IDLE:
             motor_port.integrate_motor_command(chip, until)
-            sample_timer.run_idle(chip, until)
+            sample_timer.run_in_init_idle(chip, until)
             chip.clock = until
             return
         stop = least(until, chip.sample_end)
@@ -127,20 +127,24 @@ def read_outputs(chip, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(chip, axis_index, hz):
+def compute_pulse_rate(chip, axis_index, clock_hz):
     """Return the commanded velocity in counts per second.
 
     Args:
         chip: State of the chip.
         axis_index: Axis of the chip, 0.
-        hz: Reference clock, Hz.
+        clock_hz: Reference clock, Hz.
     """
     if chip.mode != state.CONTROL:
         return 0.0
     mode, sample = state.find_control_mode(chip.flag_bits), 16.0 * (chip.period + 1)
     if mode == state.PROPORTIONAL:
-        return state.to_signed(chip.reg[PROPORTIONAL_HIGH] << 8 | chip.reg[PROPORTIONAL_LOW], 16) * hz / (16.0 * sample)
-    return chip.velocity * hz / (256.0 * sample) if mode in (state.TRAPEZOID, state.INTEGRAL) else 0.0
+        return (
+            state.to_signed(chip.reg[PROPORTIONAL_HIGH] << 8 | chip.reg[PROPORTIONAL_LOW], 16)
+            * clock_hz
+            / (16.0 * sample)
+        )
+    return chip.velocity * clock_hz / (256.0 * sample) if mode in (state.TRAPEZOID, state.INTEGRAL) else 0.0
 
 
 @exported("f8", STATE, "i8", "i8", "f8")

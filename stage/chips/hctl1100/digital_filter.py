@@ -96,7 +96,7 @@ def apply_position_written_during_computation(chip, command):
 
 
 @hot
-def apply_early_velocity(chip, mode):
+def apply_velocity_written_during_computation(chip, mode):
     """Apply a command velocity that the host wrote before the computation of the sample was finished.
 
     If the present mode uses this velocity, its control law runs once more: in proportional velocity mode with the present bytes, in

@@ -22,7 +22,7 @@ def start_period(chip):
 
 
 @hot
-def run_idle(chip, until):
+def run_in_init_idle(chip, until):
     """Reload the timer at each end of its period up to `until`. In Init/Idle a sample has no other effect."""
     if until >= chip.sample_end:
         chip.period = chip.reg[T]

@@ -256,18 +256,18 @@ def _compute_interrupt_pins(chip):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(chip, axis_index, hz):
+def compute_pulse_rate(chip, axis_index, clock_hz):
     """Return the present output frequency in pulses per second.
 
     Args:
         chip: State of the chip.
         axis_index: Number of the axis.
-        hz: Reference clock, Hz.
+        clock_hz: Reference clock, Hz.
     """
     axis = chip.ax[axis_index]
     if axis.interpolates:
-        return interpolation.compute_axis_rate(chip, axis_index) * hz
-    return compute_speed(axis, chip.clock - axis.origin) * hz if axis.driving else 0.0
+        return interpolation.compute_axis_rate(chip, axis_index) * clock_hz
+    return compute_speed(axis, chip.clock - axis.origin) * clock_hz if axis.driving else 0.0
 
 
 @exported("f8", STATE, "i8", "i8", "f8")

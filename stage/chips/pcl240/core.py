@@ -87,7 +87,7 @@ def read_outputs(chip, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(chip, axis_index, hz):
+def compute_pulse_rate(chip, axis_index, clock_hz):
     """Return the present output frequency in pulses per second.
 
     Source: data sheet, section 4, R7.
@@ -95,10 +95,10 @@ def compute_pulse_rate(chip, axis_index, hz):
     Args:
         chip: State of the chip.
         axis_index: Axis of the chip, 0.
-        hz: Reference clock, Hz.
+        clock_hz: Reference clock, Hz.
     """
     if (chip.running or chip.finishing) and chip.multiplier >= 2:
-        return chip.speed * hz / (8192.0 * chip.multiplier)
+        return chip.speed * clock_hz / (8192.0 * chip.multiplier)
     return 0.0
 
 

@@ -115,7 +115,7 @@ def compute_mean_count(chip, net_before, clocks):
 
 
 @hot
-def measure_step_rate(chip, hz):
+def measure_step_rate(chip, clock_hz):
     """Compute the signed step rate, per second, from the last two accepted edges of a host; 0 when the edges have stopped."""
     if chip.accepted < 2:
         return 0.0
@@ -123,4 +123,4 @@ def measure_step_rate(chip, hz):
     period = (last >> 1) - (previous >> 1)
     if period <= 0 or chip.clock - (last >> 1) > 2 * period:
         return 0.0
-    return (1.0 if last & 1 == 0 else -1.0) * hz / period
+    return (1.0 if last & 1 == 0 else -1.0) * clock_hz / period

@@ -192,12 +192,12 @@ def compute_status(chip):
 
 
 @hot
-def compute_step_rate(chip, hz):
-    """Return the signed rate of steps now, per second of a clock of `hz`; 0 from the end of a move to a host's next step."""
+def compute_step_rate(chip, clock_hz):
+    """Return the signed rate of steps now, per second of a clock of `clock_hz`; 0 from the end of a move to a host's next step."""
     if not chip.running:
-        return 0.0 if chip.steps_done else measure_step_rate(chip, hz)
+        return 0.0 if chip.steps_done else measure_step_rate(chip, clock_hz)
     share = float(chip.steps) / chip.events if chip.events else 1.0
-    return (-1.0 if chip.control & MINUS else 1.0) * share * compute_present_rate(chip) * hz / chip.hz
+    return (-1.0 if chip.control & MINUS else 1.0) * share * compute_present_rate(chip) * clock_hz / chip.hz
 
 
 @hot

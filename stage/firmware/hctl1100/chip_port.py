@@ -208,28 +208,31 @@ class ChipPort:
         self.wait_for_safe_part()
         self.write_numbers(command_position=position)
 
-    def wait_until(self, test: Callable[[], bool], timeout: float, what: str, poll: float = POLL_INTERVAL_S) -> float:
-        """Poll until a test is met.
+    def wait_until(
+        self, condition: Callable[[], bool], timeout: float, expected_event: str, poll: float = POLL_INTERVAL_S
+    ) -> float:
+        """Poll until a condition holds.
 
         Args:
-            test: Function that returns whether the test is met.
+            condition: Function that returns whether the condition holds.
             timeout: Simulated seconds to wait.
-            what: Description of the expected change, for the error.
+            expected_event: Description of the expected change, for the error.
             poll: Seconds between two polls.
 
         Returns:
-            Seconds until the test was met.
+            Seconds until the condition held.
 
         Raises:
-            RunTimeout: The test was not met in time. The axis is then in Init/Idle, without a motor command.
+            RunTimeout: The condition did not hold in time. The axis is then in Init/Idle, without a motor command.
         """
         begin = self.axis.time
-        while not test():
+        while not condition():
             if not self.axis.time - begin < timeout:
                 state = f"at {self.read_position()} counts, R07 = {self.read_status():02X}h"
                 self.enter_init_idle_mode()
                 raise RunTimeout(
-                    f"axis {self.axis.name}: {what} did not come in {timeout:g} s; it was {state} and is in Init/Idle now."
+                    f"axis {self.axis.name}: {expected_event} did not come in {timeout:g} s; it was {state} and is in "
+                    "Init/Idle now."
                 )
             self.axis.wait(poll)
         return self.axis.time - begin

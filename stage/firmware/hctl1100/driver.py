@@ -16,7 +16,7 @@ from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, ExceededLimit, RunTimeout
 from stage.firmware import move_plot_signals
 from stage.firmware.axis import get_forward_direction, has_positive_logic
-from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving
+from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving_drivers
 from stage.firmware.hctl1100.chip_port import CONTROL, IDLE, LIMIT, MODE_FLAGS, SET_FLAG_BIT, STOP, ChipPort
 from stage.firmware.hctl1100.homing import hold_once_at_rest, home_servo, leave_limit, subtract_origin
 from stage.firmware.hctl1100.moves import (
@@ -56,7 +56,7 @@ class Hctl1100Pattern(move_plot_signals.OperationPattern):
     )  # fmt: skip
     ALWAYS = ("prof", "init")
 
-    def is_noteworthy(self, meaning: str) -> bool:
+    def needs_annotation(self, meaning: str) -> bool:
         return meaning.startswith("set F")
 
 
@@ -329,7 +329,7 @@ class Hctl1100Driver(Driver):
             RunTimeout: The line was not complete after `timeout`, or an axis has not arrived at its end.
         """
         everyone = cast("dict[str, Hctl1100Driver]", drivers)
-        moving_drivers = select_moving(everyone, pulses)
+        moving_drivers = select_moving_drivers(everyone, pulses)
         for n, driver in everyone.items():
             if n not in moving_drivers:
                 driver.hold_still()
@@ -439,9 +439,11 @@ class Hctl1100Driver(Driver):
         program.write(self.index, MODE, CONTROL)
 
     def build_home_program(self, settings: Any) -> HomeProgram:
+        """Raise ArgumentError: the home programs of environments move by pulses, which this chip does not make."""
         self._refuse_task("OriginReturn writes an origin return of pulses")
 
     def build_line_programs(self, drivers: Any, settings: Any) -> NoReturn:
+        """Raise ArgumentError: the line programs of environments move by pulses, which this chip does not make."""
         self._refuse_task("SynchronizedMove draws lines of pulses")
 
 

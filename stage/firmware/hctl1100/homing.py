@@ -159,11 +159,11 @@ def _run_to_switch(port: ChipPort, velocity: int, timeout: float) -> int:
     return at
 
 
-def _check_limit(port: ChipPort, what: str) -> None:
-    """Raise RunTimeout if LIMIT has triggered. `what` names the event that was expected, for the message."""
+def _check_limit(port: ChipPort, expected_event: str) -> None:
+    """Raise RunTimeout if LIMIT has triggered. `expected_event` names the event that was expected, for the message."""
     if port.is_limited():
         raise RunTimeout(
-            f"axis {port.axis.name}: LIMIT before {what}, at {port.read_position()} counts; it is in Init/Idle now."
+            f"axis {port.axis.name}: LIMIT before {expected_event}, at {port.read_position()} counts; it is in Init/Idle now."
         )
 
 

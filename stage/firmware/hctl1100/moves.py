@@ -414,7 +414,7 @@ def convert_acceleration_to_register(port: ChipPort, acceleration: float) -> int
     return _round_to_register(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
 
 
-def _round_to_register(port: ChipPort, name: str, requested: float, scale: float, what: str, unit: str) -> int:
+def _round_to_register(port: ChipPort, name: str, requested: float, scale: float, quantity: str, unit: str) -> int:
     """Return `requested` times `scale`, rounded. Raises ArgumentError if the register cannot hold it."""
     rate = requested * scale
     number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
@@ -422,5 +422,5 @@ def _round_to_register(port: ChipPort, name: str, requested: float, scale: float
         raise ArgumentError(
             f"{requested:g} {unit} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: "
             f"{max(number.minimum, 1)} to {number.maximum} it holds. Choose another rate, or another T."
-        ).with_limit(ExceededLimit(what, requested, max(number.minimum, 1) / scale, number.maximum / scale))
+        ).with_limit(ExceededLimit(quantity, requested, max(number.minimum, 1) / scale, number.maximum / scale))
     return value

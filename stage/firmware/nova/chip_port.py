@@ -115,10 +115,10 @@ class ChipPort:
         """
         self.write_mode_words(**{name: self._modes[name] | bits if on else self._modes[name] & ~bits})
 
-    def read_status_register(self, n: int) -> int:
+    def read_status_register(self, number: int) -> int:
         """Read RR1, RR2 or RR3 (page 0 on an MCX514) of the axis. Reading interrupt factors clears them."""
-        self.write_command("RR3P0" if n == 3 and isinstance(self.chip, MCX514) else "NOP")
-        return self.chip.read(n)
+        self.write_command("RR3P0" if number == 3 and isinstance(self.chip, MCX514) else "NOP")
+        return self.chip.read(number)
 
     def read_value(self, symbol: str) -> int:
         """Read a signed 32-bit value with a data reading command, for example R-LP or CV."""

@@ -17,7 +17,7 @@ from stage.firmware.driver import (
     Driver,
     ImmediateOperations,
     Speeds,
-    select_moving,
+    select_moving_drivers,
     wait_until_stopped,
 )
 from stage.firmware.home_program import HomeProgram
@@ -62,7 +62,7 @@ class NovaPattern(move_plot_signals.OperationPattern):
     )  # fmt: skip
     ALWAYS = ("asnd", "cnst", "dsnd", "drive")
 
-    def is_noteworthy(self, meaning: str) -> bool:
+    def needs_annotation(self, meaning: str) -> bool:
         return "driv" in meaning or "stop" in meaning or "home" in meaning or "interpolation" in meaning
 
 
@@ -140,14 +140,14 @@ class NovaDriver(Driver):
         word = self.port.read_status_register(int(self.END_WORD[2]))
         return next((name for bit, name in END_CAUSES.items() if word & self._get_end_mask(bit)), "")
 
-    def explain_end(self, done: bool, journal: Journal | None = None) -> str:
+    def explain_end(self, made_all_pulses: bool, journal: Journal | None = None) -> str:
         """Return the stop reason of a drive. END_WORD has no bit for software limits, so they are read from RR2.
 
         Args:
-            done: Whether the chip has made every pulse.
+            made_all_pulses: Whether the chip has made every pulse.
             journal: Journal of the chip, opened before the drive.
         """
-        reasons = super().explain_end(done, journal)
+        reasons = super().explain_end(made_all_pulses, journal)
         return reasons if reasons != UNKNOWN else next(iter(self.port.read_error_names()), UNKNOWN)
 
     def read_status_words(self) -> dict[str, int]:
@@ -214,7 +214,7 @@ class NovaDriver(Driver):
             StageError: An axis moves already.
             RunTimeout: An axis still moved after `timeout`.
         """
-        moving_drivers = select_moving(cast("dict[str, NovaDriver]", drivers), pulses)
+        moving_drivers = select_moving_drivers(cast("dict[str, NovaDriver]", drivers), pulses)
         for driver in moving_drivers.values():
             if driver.port.is_driving():
                 raise driver.build_moving_error()

@@ -70,7 +70,7 @@ class HomeSearchProgram(HomeProgram):
         for address in (6, 7):
             self._store_result_index(f"{name} {address}", program).read(self.driver.index, address)
 
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
+    def decode_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         marked = {name: results[:, at] for name, at in self.result_indices.items()}
         timed_out = np.any([marked[name] < 0 for name in marked if "time" in name], axis=0)
         left, end_position = (

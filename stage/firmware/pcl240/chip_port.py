@@ -295,15 +295,19 @@ class ChipPort:
         return self.wait_until(lambda s: not s.operating, timeout, poll, "it to stop")
 
     def wait_until(
-        self, test: Callable[[Status], bool], timeout: float, poll: float = FAST_POLL_S, what: str = "a change"
+        self,
+        condition: Callable[[Status], bool],
+        timeout: float,
+        poll: float = FAST_POLL_S,
+        expected_event: str = "a change",
     ) -> Status:
         """Poll until a test of the status is met.
 
         Args:
-            test: Function of the status that returns whether the test is met.
+            condition: Function of the status that returns whether the test is met.
             timeout: Simulated seconds to wait.
             poll: Seconds between two polls at first.
-            what: Description of the expected change, for the error.
+            expected_event: Description of the expected change, for the error.
 
         Returns:
             The status that met the test.
@@ -312,12 +316,12 @@ class ChipPort:
             RunTimeout: The test was not met after `timeout`; the message says what the chip was doing.
         """
         begin = self.axis.time
-        while not test(status := self.read_status()):
+        while not condition(status := self.read_status()):
             passed = self.axis.time - begin
             if not passed < timeout:
                 still = "still operates" if status.operating else "has stopped"
                 raise RunTimeout(
-                    f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): "
+                    f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {expected_event}): "
                     f"R0 = {self.read_counter()}, {status}. "
                     f"{explain_missing_pulses(self.axis) or 'Give it more time, or stop it with 08h.'}"
                 )

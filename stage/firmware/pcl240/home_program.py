@@ -102,7 +102,7 @@ class FourRunHomeProgram(HomeProgram):
         for address in (0, 3, 2, 1):
             self._store_result_index(f"{name} {address}", program).read(a, address)
 
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
+    def decode_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         marked = {name: results[:, at] for name, at in self.result_indices.items()}
         status = {name: marked[f"{name} 0"] for name in RUN_NAMES}
         counted = {

@@ -70,19 +70,19 @@ class AxisPlan:
     automatic: bool = False
 
     @property
-    def step(self) -> float:
+    def rate_per_speed_step(self) -> float:
         """Rate of one speed step, pps."""
         return self.clock_hz / (8192 * self.registers["R7"])
 
     @property
     def fl(self) -> float:
         """FL, pps."""
-        return self.registers["R1"] * self.step
+        return self.registers["R1"] * self.rate_per_speed_step
 
     @property
     def fh(self) -> float:
         """FH, pps."""
-        return self.registers["R2"] * self.step
+        return self.registers["R2"] * self.rate_per_speed_step
 
     @property
     def has_ramps(self) -> bool:
@@ -95,13 +95,13 @@ class AxisPlan:
         return None if (word := self.registers.get("R14", LINEAR)) & LINEAR else word & SPAN
 
     @property
-    def accel(self) -> float:
+    def accel_time(self) -> float:
         """Time from FL to FH, s."""
         r = self.registers
         return compute_ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.span)
 
     @property
-    def decel(self) -> float:
+    def decel_time(self) -> float:
         """Time from FH to FL, s."""
         r = self.registers
         return compute_ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.span)
@@ -180,7 +180,7 @@ class Plan:
             lines.append(
                 f"{name:{width}} {a.distance:>+10}"
                 + "".join(f"{v:>9}" if n == "R0" else f"{v:>7}" for n, v in cells.items())
-                + f"{a.fl:>10.2f}{a.fh:>12.3f}{a.accel * 1e3:>9.2f}{a.decel * 1e3:>9.2f}{a.seconds:>9.4f}"
+                + f"{a.fl:>10.2f}{a.fh:>12.3f}{a.accel_time * 1e3:>9.2f}{a.decel_time * 1e3:>9.2f}{a.seconds:>9.4f}"
             )
         deviation = (
             f"{self.deviation:.2f} pulses from the line"
@@ -263,20 +263,20 @@ def plan(
     return replace(line_plan, notes=(*notes, *_list_remarks(line_plan.axes, move, line_plan.deviation)))
 
 
-def _check_distance(name: str, d: Any) -> int:
+def _check_distance(name: str, distance: Any) -> int:
     """Return a distance as an int. Raises ArgumentError for a number that R0 cannot count."""
     try:
-        whole = int(d)
+        whole = int(distance)
     except (TypeError, ValueError, OverflowError):
         whole = None
-    if whole is None or whole != d or abs(whole) > MAX_R0:
+    if whole is None or whole != distance or abs(whole) > MAX_R0:
         raise ArgumentError(
-            f"{name}={d!r}: R0 counts whole pulses, up to {MAX_R0}; the sign is the direction. Split a longer move."
+            f"{name}={distance!r}: R0 counts whole pulses, up to {MAX_R0}; the sign is the direction. Split a longer move."
         )
     return whole
 
 
-def _get_axis_value(what: str, name: str, values: Any) -> Any:
+def _get_axis_value(quantity: str, name: str, values: Any) -> Any:
     """Return the value of an axis from a mapping by axis, or the value itself if it is equal for all axes.
 
     Raises:
@@ -285,7 +285,7 @@ def _get_axis_value(what: str, name: str, values: Any) -> Any:
     if not isinstance(values, Mapping):
         return values
     if name not in values:
-        raise unknown_name_error(f"axis in {what}", name, values)
+        raise unknown_name_error(f"axis in {quantity}", name, values)
     return values[name]
 
 
@@ -352,37 +352,39 @@ def _shorten_to_length(length: int, rate: float, fl: float, accel: float, decel:
     return LeaderMove(length, peak, fl, accel * part, decel * part), [note]
 
 
-def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -> None:
+def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: float, clocks_hz: dict) -> None:
     """Raise ArgumentError for rates that no registers of an axis can make."""
-    max_rate = hz[leader] * MAX_SPEED / (8192 * MIN_R7)
+    max_rate = clocks_hz[leader] * MAX_SPEED / (8192 * MIN_R7)
     if max(rate, move.fh) > max_rate:
         raise ArgumentError(
-            f"rate={rate:g} pps: a chip at {hz[leader]} Hz makes at most {max_rate:.0f} pps (8191 at R7 = 2)."
+            f"rate={rate:g} pps: a chip at {clocks_hz[leader]} Hz makes at most {max_rate:.0f} pps (8191 at R7 = 2)."
         ).with_limit(ExceededLimit("speed", rate, 0.0, max_rate))
     for name, d in moving.items():
-        least, own = hz[name] / (8192 * MAX_R7), abs(d) / move.length
-        max_own_rate = hz[name] * MAX_SPEED / (8192 * MIN_R7)
+        least, own = clocks_hz[name] / (8192 * MAX_R7), abs(d) / move.length
+        max_own_rate = clocks_hz[name] * MAX_SPEED / (8192 * MIN_R7)
         if own * move.fh > max_own_rate:
             raise ArgumentError(
-                f"axis {name} would have to run at {own * move.fh:.0f} pps, and a chip at {hz[name]} Hz makes at most "
+                f"axis {name} would have to run at {own * move.fh:.0f} pps, and a chip at {clocks_hz[name]} Hz makes at most "
                 f"{max_own_rate:.0f} pps (8191 at R7 = 2). Lower the rate to {max_own_rate / own:.0f} pps."
             )
         if own * move.fh < least and abs(d) > 1:  # a single pulse is less than a pulse off whenever it comes
             raise ArgumentError(
-                f"axis {name} would have to run at {own * move.fh:.3g} pps, and the slowest a chip at {hz[name]} Hz makes is "
-                f"{least:.3g} pps (1 at R7 = 1023). Raise the rate to {least / own:.0f} pps, or move {name} by itself."
+                f"axis {name} would have to run at {own * move.fh:.3g} pps, and the slowest a chip at {clocks_hz[name]} Hz "
+                f"makes is {least:.3g} pps (1 at R7 = 1023). Raise the rate to {least / own:.0f} pps, or move {name} by itself."
             )
 
 
-def _check_multipliers(moving: dict, move: LeaderMove, only: Mapping[str, int], hz: dict) -> None:
+def _check_multipliers(
+    moving: dict, move: LeaderMove, received_multipliers: Mapping[str, int], clocks_hz: dict
+) -> None:
     """Raise ArgumentError for rates that an axis cannot make with the R7 of the clock that its chip receives."""
     for name, d in moving.items():
-        r7 = only.get(name, 0)
+        r7 = received_multipliers.get(name, 0)
         if r7 > 0:
             rate, max_rate, least = (
                 move.fh * abs(d) / move.length,
-                hz[name] * MAX_SPEED / (8192 * r7),
-                hz[name] / (8192 * r7),
+                clocks_hz[name] * MAX_SPEED / (8192 * r7),
+                clocks_hz[name] / (8192 * r7),
             )
             if not least <= rate <= max_rate:
                 raise ArgumentError(
@@ -473,7 +475,7 @@ def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float)
         gain = round((move.fh - move.fl) * own * 8192 * MAX_R7 / a.clock_hz)
         max_rate = RegisterRanges.from_chip(a.chip, a.automatic).rate
         max_ramp = compute_equivalent_linear_steps(gain, move.share) * max_rate / a.clock_hz
-        for word, wanted, actual in (("accel", move.up, a.accel), ("decel", move.down, a.decel)):
+        for word, wanted, actual in (("accel", move.up, a.accel_time), ("decel", move.down, a.decel_time)):
             if wanted > max_ramp and actual < 0.95 * wanted:
                 reason = (
                     f"axis {name} cannot ramp for {word}={wanted:.3g} s: to {own * move.fh:.3g} pps it takes no more than about "

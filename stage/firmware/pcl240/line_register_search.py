@@ -114,7 +114,7 @@ class Candidates(NamedTuple):
 
 
 def search_registers(
-    move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
+    move: LeaderMove, clock_hz: int, ranges: RegisterRanges, followers: Mapping[str, Follower]
 ) -> tuple[np.ndarray, dict[str, Candidates]]:
     """Choose rows of registers (see follower_register_search.py) for the leader and its followers.
 
@@ -122,8 +122,8 @@ def search_registers(
 
     Args:
         move: Move of the longest axis.
-        hz: Reference clock of the leader's chip, Hz.
-        widths: Ranges of its registers.
+        clock_hz: Reference clock of the leader's chip, Hz.
+        ranges: Ranges of its registers.
         followers: Moves of the other axes by name.
 
     Returns:
@@ -134,9 +134,9 @@ def search_registers(
     """
     best: tuple[np.ndarray, dict[str, Candidates]] | None = None
     least, work = np.inf, np.zeros(1, follower_register_search.WORK_DTYPE)
-    for bare in _list_leaders(move, hz, widths, followers):
+    for bare in _list_leaders(move, clock_hz, ranges, followers):
         rises: dict[str, np.ndarray] = {}
-        for leader in _vary_tail_lengths(bare, hz, widths.point):
+        for leader in _vary_tail_lengths(bare, clock_hz, ranges.point):
             candidates = {}
             for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
                 only = int(leader[7]) if multiplier == AS_LEADER else multiplier
@@ -144,14 +144,14 @@ def search_registers(
                     rises[name] = np.zeros((follower_register_search.MAX_CANDIDATES, size), np.int64)
                     scores = np.empty(follower_register_search.MAX_CANDIDATES)
                     follower_register_search.fit_accelerations(
-                        leader, hz, d, own_hz, lead, move.share, rate, only, scores, rises[name], work
+                        leader, clock_hz, d, own_hz, lead, move.share, rate, only, scores, rises[name], work
                     )
                 candidates[name] = Candidates(
                     np.zeros((follower_register_search.MAX_BEST_ROWS, size), np.int64),
                     np.empty(follower_register_search.MAX_BEST_ROWS),
                 )
                 follower_register_search.fit_decelerations(
-                    leader, hz, own_hz, lead, move.automatic, rate, point, rises[name],
+                    leader, clock_hz, own_hz, lead, move.automatic, rate, point, rises[name],
                     candidates[name].scores, candidates[name].registers, work,
                 )  # fmt: skip
             worst = max((k.scores[0] for k in candidates.values()), default=0.0)
@@ -167,20 +167,20 @@ def search_registers(
 
 
 def _list_leaders(
-    move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
+    move: LeaderMove, clock_hz: int, ranges: RegisterRanges, followers: Mapping[str, Follower]
 ) -> list[np.ndarray]:
     """List rows of registers for the longest axis, with R6 = 0, the most promising first.
 
     R7 and FH may be any that make the rate within 0.2 %. The order depends on how well the followers can make their shares of the
     rate.
     """
-    finest = min(MAX_R7, int(hz * MAX_SPEED / (8192 * move.fh) + 1e-9))
+    finest = min(MAX_R7, int(clock_hz * MAX_SPEED / (8192 * move.fh) + 1e-9))
     tried, max_shift = (LEADERS_LONG, SHIFTS_LONG) if move.length > LONG else (LEADERS, SHIFTS)
     grids, shifts = np.arange(max(MIN_R7, finest // 16), finest + 1), np.arange(-max_shift, max_shift + 1)
     if move.multiplier:
         grids = np.array([move.multiplier])
     r7, shift = np.tile(grids, len(shifts)), np.repeat(shifts, len(grids))
-    step = hz / (8192.0 * r7)
+    step = clock_hz / (8192.0 * r7)
     high = np.rint(move.fh / step) + shift
     low = np.clip(np.rint(move.fl / step), 1, MAX_SPEED)
     error = np.abs(high * step / move.fh - 1)
@@ -189,11 +189,11 @@ def _list_leaders(
         low, up, down = high, np.full(len(r7), 2.0), np.full(len(r7), 2.0)
     else:
         gain = compute_equivalent_linear_steps(np.maximum(high - low, 1), move.share)
-        up, down = np.rint(move.up * hz / gain), np.rint(move.down * hz / gain)
-        fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= widths.rate)
-        error += np.abs(up * gain / hz / move.up - 1) / 8 + np.abs(down * gain / hz / move.down - 1) / 8
+        up, down = np.rint(move.up * clock_hz / gain), np.rint(move.down * clock_hz / gain)
+        fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= ranges.rate)
+        error += np.abs(up * gain / clock_hz / move.up - 1) / 8 + np.abs(down * gain / clock_hz / move.down - 1) / 8
         if not fits.any():
-            _refuse_ramp(move, hz, widths.rate, step, high, low)
+            _refuse_ramp(move, clock_hz, ranges.rate, step, high, low)
     pick = np.flatnonzero(fits & (error <= max(RATE_ERROR, 1.01 * float(error[fits].min()))))
     pick = pick[np.argsort(np.abs(shift[pick]), kind="stable")]
     off = np.zeros(len(pick))
@@ -201,14 +201,14 @@ def _list_leaders(
         misfit = np.zeros(len(pick))
         least = min(100.0, d / move.length * move.fh * 8192 * MAX_R7 / own_hz / 2)
         follower_register_search.compute_rate_misfits(
-            high[pick], r7[pick], hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit
+            high[pick], r7[pick], clock_hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit
         )
         off = np.maximum(off, misfit * d)
     best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
     unshifted = pick[shift[pick] == 0]
     spread = unshifted[np.linspace(len(unshifted) - 1, 0, tried // 2).astype(int)] if len(unshifted) else unshifted
     zero = np.zeros(len(r7))
-    rest = [zero] * (widths.row - 8)
+    rest = [zero] * (ranges.row - 8)
     table = np.stack([zero + move.length, low, high, high, up, down, zero, r7, *rest], axis=1).astype(np.int64)
     rows = [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
     for row in rows:
@@ -229,7 +229,9 @@ def compute_equivalent_linear_steps(steps: Any, share: float) -> Any:
     return np.minimum(steps / 2 + span, steps)
 
 
-def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
+def _refuse_ramp(
+    move: LeaderMove, clock_hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray
+) -> None:
     """Raise ArgumentError for ramps that no R7 can make; the message states the possible range."""
     gain = compute_equivalent_linear_steps((high - low)[high > low], move.share)
     if not len(gain):
@@ -237,7 +239,7 @@ def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, hig
             f"fl={move.fl:g} and rate={move.fh:g} pps are within one speed step ({step.min():.3g} pps): make them "
             f"equal for constant speed, or move them apart."
         )
-    min_seconds, max_seconds = 2 * gain.min() / hz, max_rate * gain.max() / hz
+    min_seconds, max_seconds = 2 * gain.min() / clock_hz, max_rate * gain.max() / clock_hz
     for name, register, value in (("accel", "R4", move.up), ("decel", "R5", move.down)):
         if not min_seconds <= value <= max_seconds:
             raise ArgumentError(
@@ -249,7 +251,7 @@ def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, hig
     )
 
 
-def _vary_tail_lengths(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
+def _vary_tail_lengths(leader: np.ndarray, clock_hz: int, max_rate: int) -> Iterator[np.ndarray]:
     """Yield the leader's row with several values of R6, because some lengths of its last part at FL suit the followers better."""
     if leader[2] == leader[1]:
         yield leader
@@ -259,7 +261,7 @@ def _vary_tail_lengths(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[n
         leader[k] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * compute_ramp_stretch(leader)
         for k in (4, 5)
     )
-    fl, fh = (leader[k] * hz / (8192 * leader[7]) for k in (1, 2))
+    fl, fh = (leader[k] * clock_hz / (8192 * leader[7]) for k in (1, 2))
     patience = max(TAIL_SECONDS, TAIL_SHARE * leader[0] / fh)
     for tail in TAILS:
         r6 = int(np.ceil(fall)) + tail

@@ -8,7 +8,7 @@ from stage.chips.pcl240.cycle_descriptions import name_speed
 from stage.chips.pcl240.maps import CONTROL, OPERATE, OUTPUT
 from stage.chips.pcl240.state import FL, GROUP, INT_AT_STOP, OUTPUT_BITS, RAMP, SPEED, START, STOP
 from stage.firmware import move_plot_signals
-from stage.firmware.move_plot_signals import AMBER, BLUE, GREEN, GREY, RED, VIOLET, PatternNote
+from stage.firmware.move_plot_signals import AMBER, BLUE, GREEN, GREY, RED, VIOLET, PatternAnnotation
 
 PATTERN_LANES = (
     ("fup", "FUP", BLUE),
@@ -56,7 +56,7 @@ class Pcl240Pattern(move_plot_signals.OperationPattern):
         once = {n: values[r] for n, r in names.items() if n in used and len(values.get(r, ())) == 1}
         return {n: next(iter(v)) * step for n, v in once.items()}
 
-    def make_notes(self, times: np.ndarray) -> list[PatternNote]:
+    def make_annotations(self, times: np.ndarray) -> list[PatternAnnotation]:
         """Return notes of the commands that start, change or stop a run, of each ramp-down point, and of the end.
 
         The note of a command also has the bytes that prepare it (reset command, control mode, a register).
@@ -66,7 +66,7 @@ class Pcl240Pattern(move_plot_signals.OperationPattern):
         """
         report, waveforms = self.report, self.waveforms
         hold, clocks = waveforms.pin("hold"), waveforms.edges["clock"]
-        notes: list[PatternNote] = []
+        notes: list[PatternAnnotation] = []
         ahead: list[str] = []
         for (when, code, _), s in zip(report.writes(), report.statements, strict=True):
             halted = bool(hold[max(int(np.searchsorted(clocks, s.clock)) - 1, 0)])
@@ -75,7 +75,7 @@ class Pcl240Pattern(move_plot_signals.OperationPattern):
                     ahead.append(f"{s.register} \N{LEFTWARDS ARROW} {s.value}")
                 continue
             if s.kind == "lost":
-                notes.append(PatternNote(when, f"{code}h", "lost on the bus", False))
+                notes.append(PatternAnnotation(when, f"{code}h", "lost on the bus", False))
                 continue
             byte = int(code, 16)
             words = _describe_mode_command(byte, halted)
@@ -86,7 +86,7 @@ class Pcl240Pattern(move_plot_signals.OperationPattern):
             ):
                 words = "ramps on"
             if words:
-                notes.append(PatternNote(when, " ".join([*ahead, f"{code}h"]), words, False))
+                notes.append(PatternAnnotation(when, " ".join([*ahead, f"{code}h"]), words, False))
             if words or s.kind == "reset" or byte == STOP:
                 ahead.clear()
             group = byte & GROUP
@@ -94,10 +94,12 @@ class Pcl240Pattern(move_plot_signals.OperationPattern):
                 ahead = [a for a in ahead if a[0] != code[0]] + [f"{code}h"]  # the latest of a group counts
         falls = waveforms.pin("fdown") & waveforms.pin("lt") & ~hold
         for k in np.flatnonzero(falls[1:] & ~waveforms.pin("lt")[:-1]) + 1:
-            notes.append(PatternNote(float(times[k]), "", f"R0 < R6 = {waveforms.edges['counter'][k] + 1:,d}", True))
+            notes.append(
+                PatternAnnotation(float(times[k]), "", f"R0 < R6 = {waveforms.edges['counter'][k] + 1:,d}", True)
+            )
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
-    def describe_end(self) -> list[PatternNote]:
+    def describe_end(self) -> list[PatternAnnotation]:
         return [n._replace(words="stop at FL") if n.words == "stop" else n for n in super().describe_end()]
 
 

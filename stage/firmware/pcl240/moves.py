@@ -74,7 +74,7 @@ def preset_move(
         StageError: The axis is moving.
         RunTimeout: The chip still moved after `timeout`.
     """
-    profile, count = choose_profile(axis, profile), check_pulses(pulses)
+    profile, count = choose_profile(axis, profile), check_pulses_and_drop_sign(pulses)
     check_timeout(timeout)
     if s_curve is not None:
         profile = profile.with_ramp_shape(s_curve, fh2)
@@ -106,7 +106,7 @@ def start_preset(port: ChipPort, profile: Profile, pulses: int) -> None:
         ArgumentError: A value does not fit its register.
         StageError: The axis is moving.
     """
-    count = check_pulses(pulses)
+    count = check_pulses_and_drop_sign(pulses)
     profile = profile.for_distance(count)
     write_move_setup(port, profile, chip_port.PRESET | encode_direction(pulses))
     port.write_registers(R0=count, R6=profile.down_point(count))
@@ -181,7 +181,7 @@ def continuous_move(
         if p.port.read_status().operating:
             stop = chip_port.SLOW_DOWN["FH2" if fh2 else "FH1"] if high_speed and not immediate else chip_port.RESET
             p.port.write_command(stop | (chip_port.INTERRUPT if interrupt else 0))
-        return p.finish(2 * profile.decel(fh2) + 1)
+        return p.finish(2 * profile.get_decel_time(fh2) + 1)
 
 
 @explain_arguments
@@ -218,7 +218,7 @@ def interrupted_move(
         RunTimeout: The chip still moved after `timeout`.
     """
     check_timeout(timeout)
-    full_profile, count = choose_profile(axis, profile), check_pulses(pulses)
+    full_profile, count = choose_profile(axis, profile), check_pulses_and_drop_sign(pulses)
     profile = full_profile.for_distance(count, fh2)
     check_seconds(after)
     check_seconds(pause)
@@ -278,7 +278,7 @@ def external_count(
     """
     profile = choose_profile(axis, profile)
     check_timeout(timeout)
-    count = check_pulses(pulses)
+    count = check_pulses_and_drop_sign(pulses)
     check_direction(direction)
     if pulses < 0:
         raise ArgumentError(f"pulses={pulses!r}: external pulses are counted from 1 on; direction=-1 runs backwards.")
@@ -363,8 +363,8 @@ def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
     return profile.for_chip(chip)
 
 
-def check_pulses(pulses: int) -> int:
-    """Return the number of pulses without its sign. Raises ArgumentError for a number that R0 cannot count."""
+def check_pulses_and_drop_sign(pulses: int) -> int:
+    """Check a number of pulses, and return it without its sign. Raises ArgumentError for a number that R0 cannot count."""
     if not isinstance(pulses, int | float) or not 1 <= abs(pulses) <= COUNTER_MASK or int(pulses) != pulses:
         raise ArgumentError(f"pulses={pulses!r}: R0 counts 1 to 16777215 pulses; the sign is the direction.")
     return abs(int(pulses))

@@ -15,7 +15,7 @@ from stage.firmware.axis import Axis, check_direction, check_origin
 from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
-from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, write_move_setup
+from stage.firmware.pcl240.moves import check_pulses_and_drop_sign, choose_profile, encode_direction, write_move_setup
 from stage.firmware.pcl240.procedure_observer import Pcl240Observer
 from stage.firmware.pcl240.speed_profile import Profile
 from stage.support.argument_checks import check_timeout, explain_arguments
@@ -75,10 +75,10 @@ def origin_return(
     if ez is not None:
         _check_index_number(axis, ez)
     check_direction(direction)
-    back_off = check_pulses(back_off)
-    if not 0 < approach <= profile.step * 8191:
+    back_off = check_pulses_and_drop_sign(back_off)
+    if not 0 < approach <= profile.rate_per_speed_step * 8191:
         raise ArgumentError(
-            f"approach={approach!r} pps: more than 0, up to {profile.step * 8191:.0f} with R7 = {profile.R7}."
+            f"approach={approach!r} pps: more than 0, up to {profile.rate_per_speed_step * 8191:.0f} with R7 = {profile.R7}."
         )
     with Pcl240Observer(axis, "origin return" if high_speed else "constant-speed origin return") as p:
         port = p.port
@@ -88,7 +88,7 @@ def origin_return(
         stopped_by = met or _run_to_origin(p, direction, high_speed, timeout, None if slow_approach else ez)
         if stopped_by == "ORG" and slow_approach:
             port.write_command(chip_port.RESET)
-            port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
+            port.write_register("R1", max(1, min(round(approach / profile.rate_per_speed_step), profile.R1)))
             met = _leave_origin(p, -direction, back_off, False, timeout)
             stopped_by = met or _run_to_origin(p, direction, False, timeout, ez)
         port.write_command(chip_port.RESET)
@@ -107,9 +107,9 @@ def _check_index_number(axis: Axis, ez: int) -> None:
         raise ArgumentError(f"ez={ez!r}: the origin return ends at the 1st to 16th index pulse after ORG.")
 
 
-def _run_to_origin(p: Pcl240Observer, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
+def _run_to_origin(observer: Pcl240Observer, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
     """Run until ORG, an index pulse after it (`ez`) or the end limit stops the axis, and return the stop reason."""
-    port = p.port
+    port = observer.port
     if port.extended:
         logic = chip_port.compute_polarity_bits(port.axis).get("R13", 0)
         port.write_register("R13", logic | (chip_port.encode_index_pulse_number(ez) if ez else 0))
@@ -117,19 +117,19 @@ def _run_to_origin(p: Pcl240Observer, direction: int, high_speed: bool, timeout:
     port.write_command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
-    return p.find_stop_reason()
+    return observer.find_stop_reason()
 
 
-def _leave_origin(p: Pcl240Observer, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
+def _leave_origin(observer: Pcl240Observer, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
     """Run in `direction` until ORG is released, stop, and move `back_off` pulses further, at FL.
 
     Returns:
         "" if ORG is off afterwards; otherwise the end limit that stopped the axis, or "HOME" if ORG is still asserted.
     """
-    port = p.port
+    port = observer.port
     port.write_control_mode(encode_direction(direction))
     port.write_command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
-    port.wait_until(lambda s: not s.org or not s.operating, timeout, what="the release of ORG")
+    port.wait_until(lambda s: not s.org or not s.operating, timeout, expected_event="the release of ORG")
     port.write_command(chip_port.SLOW_DOWN["FH1"] if high_speed else chip_port.RESET)
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
@@ -139,7 +139,7 @@ def _leave_origin(p: Pcl240Observer, direction: int, back_off: int, high_speed: 
     port.write_command(chip_port.START["FL"])
     status = port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
-    met = p.find_stop_reason()
+    met = observer.find_stop_reason()
     port.write_command(chip_port.RESET)
     if not status.org:
         return ""

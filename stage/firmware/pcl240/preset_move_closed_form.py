@@ -86,10 +86,14 @@ def compute_ramp_stretch(row):
 
 
 @hot
-def compute_ramp_ticks(row, rate):
-    """Return the ticks of a whole ramp with R4 or R5 = `rate`."""
+def compute_ramp_ticks(row, rate_register):
+    """Return the ticks of a whole ramp. `rate_register` is its acceleration rate: the value of R4 or R5."""
     steps = row[2] - row[1]
-    return 0.5 * (steps + compute_double_span(row[8], steps)) * rate if has_s_curve_ramps(row) else 1.0 * steps * rate
+    return (
+        0.5 * (steps + compute_double_span(row[8], steps)) * rate_register
+        if has_s_curve_ramps(row)
+        else 1.0 * steps * rate_register
+    )
 
 
 @hot

@@ -18,7 +18,7 @@ from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.chip_port import ChipPort, Status
 from stage.firmware.pcl240.moves import (
-    check_pulses,
+    check_pulses_and_drop_sign,
     choose_profile,
     compute_time_limit,
     encode_direction,
@@ -79,7 +79,7 @@ def dual_rate_move(
     check_seconds(dwell)
     if pulses is not None:
         speeds = [{"FL": profile.R1, "FH1": profile.R2, "FH2": profile.R3}[rate] for rate in rates]
-        point = _find_down_point(profile, speeds, check_pulses(pulses), dwell)
+        point = _find_down_point(profile, speeds, check_pulses_and_drop_sign(pulses), dwell)
         control = chip_port.PRESET | encode_direction(pulses)
     else:
         check_direction(direction)
@@ -88,14 +88,16 @@ def dual_rate_move(
     with Pcl240Observer(axis, "dual-rate move") as p:
         write_move_setup(p.port, profile, control)
         if pulses is not None:
-            p.port.write_registers(R0=check_pulses(pulses), R6=point)
+            p.port.write_registers(R0=check_pulses_and_drop_sign(pulses), R6=point)
         status = _run_through_rates(p, rates, dwell)
         if pulses is None and status.operating:
             axis.wait(seconds or 0.0)
             if p.port.read_status().operating:
                 p.port.write_command(chip_port.SLOW_DOWN["FH2" if rates[-1] == "FH2" else "FH1"])
                 return p.finish(MAX_RAMP_S)
-        return p.finish(compute_time_limit(timeout, profile, check_pulses(pulses) if pulses else 1), pulses)
+        return p.finish(
+            compute_time_limit(timeout, profile, check_pulses_and_drop_sign(pulses) if pulses else 1), pulses
+        )
 
 
 def _check_rates(rates: Sequence[str]) -> list[str]:
@@ -108,21 +110,21 @@ def _check_rates(rates: Sequence[str]) -> list[str]:
     return list(rates)
 
 
-def _run_through_rates(p: Pcl240Observer, rates: list[str], dwell: float) -> Status:
+def _run_through_rates(observer: Pcl240Observer, rates: list[str], dwell: float) -> Status:
     """Start at the first rate, change to each further rate, and return the last status. It may show that the axis has stopped."""
     constant = rates[0] == "FL"
-    p.port.write_command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
-    status = _wait_for_rate(p.port)
+    observer.port.write_command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
+    status = _wait_for_rate(observer.port)
     for rate in rates[1:]:
-        p.axis.wait(dwell if status.operating else 0.0)
-        status = p.port.read_status()
+        observer.axis.wait(dwell if status.operating else 0.0)
+        status = observer.port.read_status()
         if not status.operating:
             break
         if constant:  # section 5 h, note: set bit 2 before the rate changes
-            p.port.write_command(chip_port.RAMP["FL"])
+            observer.port.write_command(chip_port.RAMP["FL"])
         constant = False
-        p.port.write_command(chip_port.RAMP[rate])
-        status = _wait_for_rate(p.port)
+        observer.port.write_command(chip_port.RAMP[rate])
+        status = _wait_for_rate(observer.port)
     return status
 
 
@@ -157,7 +159,7 @@ def speed_change_move(
         RunTimeout: The chip still moved after `timeout`.
     """
     profile = choose_profile(axis, profile)
-    speeds, count = _convert_rates(axis, profile, rates), check_pulses(pulses)
+    speeds, count = _convert_rates(axis, profile, rates), check_pulses_and_drop_sign(pulses)
     check_seconds(dwell)
     point = _find_down_point(profile, speeds, count, dwell)
     with Pcl240Observer(axis, "speed change in motion") as p:
@@ -204,12 +206,12 @@ def curved_ramp_move(
         RunTimeout: The chip still moved after `timeout`.
     """
     profile = replace(choose_profile(axis, profile), spans=None)
-    count = check_pulses(pulses)
+    count = check_pulses_and_drop_sign(pulses)
     speeds, ramps = _convert_pieces(axis, profile, pieces)
     all_speeds = [profile.R1, *speeds]
     climb = sum(compute_ramp_pulses(a, b, r, profile.R7) for (a, b), r in zip(pairwise(all_speeds), ramps, strict=True))
     fall = compute_ramp_pulses(profile.R1, speeds[-1], profile.R5, profile.R7)
-    _refuse_short_move(count, climb + fall + len(speeds) * POLL_DELAY_S * speeds[-1] * profile.step)
+    _refuse_short_move(count, climb + fall + len(speeds) * POLL_DELAY_S * speeds[-1] * profile.rate_per_speed_step)
     point = axis.chip.MAP.check_value(
         "R6", compute_down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7)
     )
@@ -229,7 +231,7 @@ def curved_ramp_move(
 
 def _wait_for_rate(port: ChipPort) -> Status:
     """Wait until the selected rate is reached, or the axis has stopped."""
-    return port.wait_until(lambda s: s.fkeep or not s.operating, MAX_RAMP_S, what="the end of the ramp")
+    return port.wait_until(lambda s: s.fkeep or not s.operating, MAX_RAMP_S, expected_event="the end of the ramp")
 
 
 def _change_speed(port: ChipPort, index: int, speed: int) -> None:
@@ -244,11 +246,12 @@ def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list
     if not len(rates):
         raise ArgumentError("no rates given: give at least one, in pps.")
     for rate in rates:
-        if not profile.fl * 0.999 <= rate <= profile.step * 8191:
+        if not profile.fl * 0.999 <= rate <= profile.rate_per_speed_step * 8191:
             raise ArgumentError(
-                f"rate {rate!r} pps: with R7 = {profile.R7} this move makes {profile.fl:.0f} (FL) to {profile.step * 8191:.0f} pps."
+                f"rate {rate!r} pps: with R7 = {profile.R7} this move makes {profile.fl:.0f} (FL) to "
+                f"{profile.rate_per_speed_step * 8191:.0f} pps."
             )
-    return [axis.chip.MAP.check_value("R2", max(round(r / profile.step), profile.R1)) for r in rates]
+    return [axis.chip.MAP.check_value("R2", max(round(r / profile.rate_per_speed_step), profile.R1)) for r in rates]
 
 
 def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, float]]) -> tuple[list[int], list[int]]:
@@ -268,7 +271,7 @@ def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, 
 
 def _find_down_point(profile: Profile, speeds: list[int], count: int, dwell: float) -> int:
     """Compute R6 for the last speed. Raises ArgumentError for a move that would end before this speed is reached."""
-    delay = POLL_DELAY_S * max(speeds) * profile.step * len(speeds)
+    delay = POLL_DELAY_S * max(speeds) * profile.rate_per_speed_step * len(speeds)
     if len(speeds) > 1:
         _refuse_short_move(count, profile.compute_pulses_through(speeds, dwell) + delay)
     return replace(profile, R2=max(speeds[-1], profile.R1)).down_point(count)

@@ -313,7 +313,9 @@ class Profile:
         steps = compute_linear_ramp_steps(self.R1, self.R1 + height, span if spans else None)
         if not steps:
             return replace(self, spans=spans)
-        r4, r5 = (max(2, round(t * self.clock_hz / steps)) for t in (self.accel(fh2), self.decel(fh2)))
+        r4, r5 = (
+            max(2, round(t * self.clock_hz / steps)) for t in (self.get_accel_time(fh2), self.get_decel_time(fh2))
+        )
         return replace(self, R4=r4, R5=r5, spans=spans)
 
     def for_chip(self, chip: type[PCL240]) -> Profile:
@@ -343,34 +345,34 @@ class Profile:
         return self.spans[1] if self.spans else None
 
     @property
-    def step(self) -> float:
+    def rate_per_speed_step(self) -> float:
         """Rate of one speed step, pps."""
         return compute_pulse_rate(1, self.R7, self.clock_hz)
 
     @property
     def fl(self) -> float:
         """FL, pps."""
-        return self.R1 * self.step
+        return self.R1 * self.rate_per_speed_step
 
     @property
     def fh1(self) -> float:
         """FH1, pps."""
-        return self.R2 * self.step
+        return self.R2 * self.rate_per_speed_step
 
     @property
     def fh2(self) -> float:
         """FH2, pps."""
-        return self.R3 * self.step
+        return self.R3 * self.rate_per_speed_step
 
     def get_high_speed(self, fh2: bool = False) -> int:
         """Return the speed register's value of FH1, or FH2."""
         return self.R3 if fh2 else self.R2
 
-    def accel(self, fh2: bool = False) -> float:
+    def get_accel_time(self, fh2: bool = False) -> float:
         """Return the time from FL to FH1, or FH2, s."""
         return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R4, self.clock_hz, self._up_span)
 
-    def decel(self, fh2: bool = False) -> float:
+    def get_decel_time(self, fh2: bool = False) -> float:
         """Return the time from FH1, or FH2, to FL, s."""
         return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down_span)
 
@@ -425,17 +427,20 @@ class Profile:
             low, high = sorted((speed_before, speed))
             rate, span = (self.R4, self._up_span) if speed > speed_before else (self.R5, self._down_span)
             total += compute_ramp_pulses(low, high, rate, self.R7, span)
-            total += dwell * speed * self.step if k < len(stops) - 2 else 0.0
+            total += dwell * speed * self.rate_per_speed_step if k < len(stops) - 2 else 0.0
             speed_before = speed
         return total
 
     def estimate_seconds(self, pulses: int) -> float:
         """Return an upper bound of a move's duration, s: all pulses at FL or FH1, whichever is slower, and two ramps."""
-        return pulses / min(self.fl, self.fh1, self.fh2) + 2 * max(self.accel(True), self.decel(True), 0.0)
+        return pulses / min(self.fl, self.fh1, self.fh2) + 2 * max(
+            self.get_accel_time(True), self.get_decel_time(True), 0.0
+        )
 
     def __str__(self) -> str:
         shape = "" if self.spans is None else "S-curves; "
         return (
-            f"{shape}FL {self.fl:.1f}, FH1 {self.fh1:.1f}, FH2 {self.fh2:.1f} pps; FL to FH1 in {self.accel() * 1e3:.1f} ms, "
-            f"back in {self.decel() * 1e3:.1f} ms; {' '.join(f'{k}={v}' for k, v in self.registers().items())}"
+            f"{shape}FL {self.fl:.1f}, FH1 {self.fh1:.1f}, FH2 {self.fh2:.1f} pps; "
+            f"FL to FH1 in {self.get_accel_time() * 1e3:.1f} ms, back in "
+            f"{self.get_decel_time() * 1e3:.1f} ms; {' '.join(f'{k}={v}' for k, v in self.registers().items())}"
         )

@@ -117,30 +117,30 @@ def _run_plan(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> 
 
 
 def _wait_for_axes(
-    watch: dict[str, Pcl240Observer], line_plan: Plan, timeout_s: float, line: LineObserver
+    observer: dict[str, Pcl240Observer], line_plan: Plan, timeout_s: float, line: LineObserver
 ) -> dict[str, str]:
     """Poll all axes until none moves; return the stop reason of each axis."""
     stopped_by: dict[str, str] = {}
     broken = False
-    clock = next(iter(watch.values())).axis
+    clock = next(iter(observer.values())).axis
     begin = clock.time
     while True:
-        for n, p in watch.items():
+        for n, p in observer.items():
             if n in stopped_by:
                 continue
             if not p.port.read_status().operating:
                 stopped_by[n] = p.find_stop_reason()
         line.measure_carriages()
-        if len(stopped_by) == len(watch):
+        if len(stopped_by) == len(observer):
             return stopped_by
         if not broken and any(s.startswith("EL") for s in stopped_by.values()):
             broken = True
-            for n, p in watch.items():
+            for n, p in observer.items():
                 if n not in stopped_by:
                     p.port.write_command(chip_port.SLOW_DOWN["FH1"])
         passed = clock.time - begin
         if passed >= timeout_s:
-            left = {n: watch[n].port.read_counter() for n in watch if n not in stopped_by}
+            left = {n: observer[n].port.read_counter() for n in observer if n not in stopped_by}
             raise RunTimeout(
                 f"after {timeout_s:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
             )

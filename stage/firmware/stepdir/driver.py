@@ -15,7 +15,7 @@ from stage.firmware.driver import (
     Driver,
     ImmediateOperations,
     Speeds,
-    select_moving,
+    select_moving_drivers,
     wait_until_stopped,
 )
 from stage.firmware.home_program import HomeProgram
@@ -193,7 +193,7 @@ class StepDirDriver(Driver):
             StageError: An axis moves already.
             RunTimeout: An axis still moved after `timeout`.
         """
-        moving: dict[str, Any] = select_moving(drivers, pulses)
+        moving: dict[str, Any] = select_moving_drivers(drivers, pulses)
         events = max(abs(pulses[name]) for name in moving)
         MAP.check_value("STEPS", events)
         procedures = {name: ProcedureObserver(driver.axis, "line") for name, driver in moving.items()}
@@ -218,7 +218,7 @@ class StepDirDriver(Driver):
                 }
             )
 
-    def explain_end(self, done: bool, journal: Journal | None = None) -> str:
+    def explain_end(self, made_all_pulses: bool, journal: Journal | None = None) -> str:
         return self._read_end_reason()
 
     # --- as programs ---

@@ -69,7 +69,7 @@ class OrgHomeProgram(HomeProgram):
         self._store_result_index(f"{phase} status", program).read(index, CONTROL_ADDRESS)
         self._store_result_index(f"{phase} position", program).read(index, POSITION.number)
 
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
+    def decode_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         columns = {name: results[:, at] for name, at in self.result_indices.items()}
         timed_out = np.any([columns[f"{phase} time"] < 0 for phase in PHASE_NAMES], axis=0)
         at_origin = {phase: columns[f"{phase} status"] & ORG != 0 for phase in PHASE_NAMES}

@@ -1,4 +1,4 @@
-"""`GpuFleet`: copies of one stage on a GPU, each under a program of its own.
+"""`GpuFleet`: copies of one stage on a GPU, each of which executes its own program.
 
 fleet = Fleet([Stage("xyz", chips=PCL240K, visuals=False)], device="cuda", copies=8192)
 played = fleet.play(programs)              one a copy, as of a fleet on processors
@@ -181,7 +181,7 @@ class GpuFleet(fleet.Fleet):
         for array, begin in zip(self._coordinates, self._initial_coordinates, strict=True):
             array.copy_to_device(begin)
 
-    def list_python_stages(self) -> list[int]:
+    def list_stages_played_in_python(self) -> list[int]:
         """Return an empty list, because copies on a GPU cannot be recorded."""
         return []
 

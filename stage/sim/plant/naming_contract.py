@@ -197,7 +197,7 @@ class _AxisBinder:
         gear = float(m.actuator_gear[actuator][0])
         servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
         self._check_drive(name, joint, actuator, servo)
-        unfitted = self._read_unfitted(name)
+        unfitted = self._read_missing_switches(name)
         if not low < high:
             return None
         flag_distances = self.switches.measure_flag_distances(name, joint, low, high)
@@ -235,7 +235,7 @@ class _AxisBinder:
                 format_actuator_line(name),
             )
 
-    def _read_unfitted(self, name: str) -> list[str]:
+    def _read_missing_switches(self, name: str) -> list[str]:
         """Return the switches that an axis does not have."""
         unfitted = self.texts.get(f"{name}_unfitted", "").split()
         for pin in unfitted:

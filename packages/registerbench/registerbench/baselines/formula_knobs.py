@@ -37,6 +37,8 @@ class FormulaKnobs:
         low, high = m.fl * fl, m.fh1 * fh
         low = min(low, high)
         longer = (high - low) / (m.fh1 - m.fl)
-        ramps = (max(ramp * longer / factor, 1e-3) for ramp, factor in ((m.accel(), up), (m.decel(), down)))
+        ramps = (
+            max(ramp * longer / factor, 1e-3) for ramp, factor in ((m.get_accel_time(), up), (m.get_decel_time(), down))
+        )
         values = self.driver.compute_move_registers(low, high, *ramps, self.pulses, s_curve=False)
         return {**values, "R6": min(round(values["R6"] * point), 0xFFFFF)} if others else values

@@ -138,16 +138,16 @@ def read_net_count(c, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, axis_index, hz):
-    """Return the rate at which the count changes now, per second of a clock of `hz`."""
+def compute_pulse_rate(c, axis_index, clock_hz):
+    """Return the rate at which the count changes now, per second of a clock of `clock_hz`."""
     per_step = float(1 << power_stage.read_step_shift(c)) / c.unit
     if c.registers[state.GCONF] & state.SHAFT:
         per_step = -per_step
     value = c.registers[state.VACTUAL]
     if value:
         speed = value if value < 1 << 23 else value - (1 << 24)
-        return per_step * speed * (float(c.f_clk) / (1 << 24)) * hz / c.hz
-    return per_step * step_timer.compute_step_rate(c, hz)
+        return per_step * speed * (float(c.f_clk) / (1 << 24)) * clock_hz / c.hz
+    return per_step * step_timer.compute_step_rate(c, clock_hz)
 
 
 @exported("f8", STATE, "i8")

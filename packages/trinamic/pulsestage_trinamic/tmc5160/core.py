@@ -275,9 +275,9 @@ def _compute_field_rate(c):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, j, hz):
+def compute_pulse_rate(c, j, clock_hz):
     """Return the rate of the field, 1/256 full steps a second."""
-    return _compute_field_rate(c) * hz
+    return _compute_field_rate(c) * clock_hz
 
 
 @exported("i8", STATE, "i8")

@@ -122,13 +122,13 @@ def read_net_count(c, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, axis_index, hz):
-    """Return the rate at which the count changes now, per second of a clock of `hz`."""
+def compute_pulse_rate(c, axis_index, clock_hz):
+    """Return the rate at which the count changes now, per second of a clock of `clock_hz`."""
     d = c.driver[0]
     per_step = float(1 << chip.get_step_shift(d)) / c.unit
     if d.reg[chip.GCONF] & chip.SHAFT:
         per_step = -per_step
-    return per_step * step_timer.compute_step_rate(c, hz)
+    return per_step * step_timer.compute_step_rate(c, clock_hz)
 
 
 @exported("f8", STATE, "i8")

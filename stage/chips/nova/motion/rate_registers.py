@@ -38,12 +38,12 @@ def convert_speed_to_pulses_per_clock(chip, axis, value):
     fastest = RANGE // 1000
     return dd.divide(
         dd.to_double_double(least(greatest(value, 1), fastest) * RANGE),
-        dd.to_double_double(CLOCKS_PER_SECOND * _clip_range(axis)),
+        dd.to_double_double(CLOCKS_PER_SECOND * _clip_range_register(axis)),
     )
 
 
 @hot
-def _clip_range(axis):
+def _clip_range_register(axis):
     """Return the register R, limited to its range: multiples 1 to 500."""
     return least(greatest(axis.reg[state.R], RANGE // 500), RANGE)
 
@@ -58,7 +58,7 @@ def _convert_acceleration_to_pulses_per_clock2(chip, axis, value):
     return dd.divide(
         dd.divide(
             dd.to_double_double(125 * greatest(value, 1) * RANGE),
-            dd.to_double_double(CLOCKS_PER_SECOND * _clip_range(axis)),
+            dd.to_double_double(CLOCKS_PER_SECOND * _clip_range_register(axis)),
         ),
         dd.to_double_double(CLOCKS_PER_SECOND),
     )
@@ -72,7 +72,9 @@ def _convert_jerk_to_pulses_per_clock3(chip, axis, value):
             dd.divide(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.to_double_double(CLOCKS_PER_SECOND)),
             dd.to_double_double(CLOCKS_PER_SECOND),
         )
-    up = dd.divide(dd.to_double_double(62_500_000 * RANGE), dd.to_double_double(greatest(value, 1) * _clip_range(axis)))
+    up = dd.divide(
+        dd.to_double_double(62_500_000 * RANGE), dd.to_double_double(greatest(value, 1) * _clip_range_register(axis))
+    )
     return dd.divide(
         dd.divide(dd.divide(up, dd.to_double_double(CLOCKS_PER_SECOND)), dd.to_double_double(CLOCKS_PER_SECOND)),
         dd.to_double_double(CLOCKS_PER_SECOND),
@@ -86,7 +88,7 @@ def read_speed(chip, axis):
         return 0
     v = compute_speed(axis, chip.clock - axis.origin) * CLOCKS_PER_SECOND
     if chip.variant != state.MCX514_TYPE:
-        v *= _clip_range(axis) / RANGE
+        v *= _clip_range_register(axis) / RANGE
     return int(v + 1e-6)
 
 
@@ -97,7 +99,7 @@ def read_acceleration(chip, axis):
         return 0
     a = abs(compute_acceleration(axis, chip.clock - axis.origin)) * CLOCKS_PER_SECOND * CLOCKS_PER_SECOND
     if chip.variant != state.MCX514_TYPE:
-        a *= _clip_range(axis) / RANGE / 125.0
+        a *= _clip_range_register(axis) / RANGE / 125.0
     return int(a + 1e-6)
 
 

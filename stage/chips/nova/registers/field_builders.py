@@ -17,9 +17,9 @@ Values = tuple[str, ...] | Mapping[int, str]
 """What the values of a field say: from 0 on, or by value."""
 
 
-def format_times(us: Iterable[int]) -> tuple[str, ...]:
+def format_times(microseconds: Iterable[int]) -> tuple[str, ...]:
     """Format times in microseconds as texts, for the values of a field."""
-    return tuple(f"{t // 1000} ms" if t >= 1000 and t % 1000 == 0 else f"{t} us" for t in us)
+    return tuple(f"{t // 1000} ms" if t >= 1000 and t % 1000 == 0 else f"{t} us" for t in microseconds)
 
 
 def name_axes(axes: int) -> str:

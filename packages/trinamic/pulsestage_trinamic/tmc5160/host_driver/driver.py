@@ -27,7 +27,7 @@ from stage.firmware.driver import (
     Driver,
     ImmediateOperations,
     Speeds,
-    select_moving,
+    select_moving_drivers,
     wait_until_stopped,
 )
 from stage.firmware.line_programs import LineMoves, LineSettings
@@ -393,7 +393,7 @@ class Tmc5160Driver(Driver):
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """Move axes along a straight line, with ramps as long as the longer one of `speeds`."""
-        moving: dict[str, Any] = select_moving(dict(drivers), pulses)
+        moving: dict[str, Any] = select_moving_drivers(dict(drivers), pulses)
         for driver in moving.values():
             driver.check_at_rest()
         for driver in drivers.values():  # an axis that stays at rest needs its power stage as well
