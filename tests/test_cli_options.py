@@ -153,9 +153,12 @@ def test_home_searches_as_the_options_say(monkeypatch, options, axes, direction,
         ("move x 100 --automatic", {"automatic": True}),
         ("move x 100 --no-automatic", {"automatic": False}),
         ("move x 100 --fl 700 --fh1 9000 --fh2 15kpps --accel 200ms --decel 0.4", {
-            "start": 700, "drive": 9000, "second": 15_000, "up": 0.2, "down": 0.4}),
-        ("move x 100 --accel 0.4", {"up": 0.4, "down": 0.4}),
-        ("move x 100 --decel 0.2", {"down": 0.2}),
+            "start": 700, "drive": 9000, "second": 15_000, "up": pytest.approx(0.2 * 14_300 / 8300),
+            "down": pytest.approx(0.4 * 14_300 / 8300)}),
+        ("move x 100 --accel 0.4", {"up": pytest.approx(0.4 * 31 / 15), "down": pytest.approx(0.4 * 31 / 15)}),
+        ("move x 100 --decel 0.2", {"down": pytest.approx(0.2 * 31 / 15)}),
+        ("move x 100 --speed 50mm/s --fl 150mm/min", {
+            "start": pytest.approx(800), "drive": pytest.approx(16_000), "second": pytest.approx(32_000)}),
         ("move x 100 --fh1 500", {"start": 500, "drive": 500, "second": 1000}),
         ("move x 100 --fh2 500", {"start": 500, "second": 500}),
         ("move x 100 --chips mcx304 --model xy --fh1 4000", {"drive": 4000, "second": None}),
@@ -165,7 +168,7 @@ def test_home_searches_as_the_options_say(monkeypatch, options, axes, direction,
     ],
 )  # fmt: skip
 def test_speeds_are_as_the_options_say_and_else_the_usual_ones(bench, monkeypatch, options, fields):
-    """stage move x 100 --accel 0.4: both ramps; --fh1 500: also the rate at the start; FH2 is twice FH1"""
+    """stage move x 100 --accel 0.4: both ramps, to FH1; --fh1 500: also the rate at the start; FH2 is twice FH1"""
     if "--chips" in options:
         monkeypatch.setattr(move, "make_stage", stage_setup.make_stage)
     monkeypatch.setattr("stage.firmware.pcl240.driver.Pcl240Driver.describe_speeds", lambda *_: "")

@@ -154,3 +154,33 @@ def test_a_negative_residual_is_printed_with_its_sign():
     report = firmware.continuous_move(firmware.Bench(PCL240K()).axes["x"], 0.02, -1)
     assert report.residual > 1 << 23
     assert f"R0 {report.residual} (24-bit counter: {report.residual - (1 << 24)})" in str(report)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("x 10mm --speed 20deg/s", "stage: --fh1 20deg/s: axis x moves in mm. Give a speed such as 50mm/s."),
+        (
+            "x 10mm --speed 9m/s --chips mcx304",
+            "drive speed 2.88e+06 pps (9 m/s): an MCX304 makes 20 to 160000 pps (6.25e-05 to 0.5 m/s) here.",
+        ),
+        ("x 1m --speed 9m/s --chips mcx304", "stage: drive speed 2.88e+06 pps"),
+        ("x infmm", "stage: 'infmm' is not a finite number."),
+        ("x nanmm", "stage: 'nanmm' is not a finite number."),
+    ],
+)  # fmt: skip
+def test_an_error_has_the_unit_of_the_question_and_comes_before_other_output(options, message, capsys):
+    assert main(["move", *options.split()]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.startswith("stage: ")
+    assert "warning" not in err
+
+
+@pytest.mark.parametrize("option", ["--speed 50mm/s", "--fh1 3000mm/min", "--speed 16kpps"])
+def test_a_speed_of_the_carriage_is_that_many_pulses_per_second(option, capsys):
+    assert main(["move", "x", "10mm", "--accel", "0.1", *option.split()]) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert "FH1 16000.0" in first
+    assert "FL to FH1 in 100" in first, "--accel is the time to the speed that the move uses"

@@ -8,7 +8,15 @@ from typing import Any
 
 from stage.agents.budget import CALL_LIMIT_S
 from stage.agents.tool import Tool
-from stage.agents.tool_arguments import Flag, Length, argument, choice, integer, make_length_mapping_type, number
+from stage.agents.tool_arguments import (
+    Flag,
+    LengthWithUnit,
+    argument,
+    choice,
+    integer,
+    make_length_mapping_type,
+    number,
+)
 from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
 from stage.chips.cycle_descriptions import FieldDescriber
@@ -19,6 +27,7 @@ from stage.firmware.gantry_homing import square_gantry_at_speeds
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.synchronized_report import SynchronizedReport
+from stage.units import POSITION_UNITS
 
 DIRECTIONS = {"minus": -1, "plus": 1}
 MIN_RATE_PPS = 0.01
@@ -40,7 +49,7 @@ class MotionTools:
         context = self._context
         axis = {"axis": context.axis_argument}
         how_far = {
-            "distance": argument(Length, 'Signed distance in m (rad on a hinge), or a text such as "10mm"; or give pulses.', None),
+            "distance": argument(LengthWithUnit, 'Signed distance with its unit, such as "10mm" or "30deg"; or give pulses.', None),
             "pulses": argument(integer(), "Signed number of pulses; of a servo, counts.", None),
         }  # fmt: skip
         how_fast = {
@@ -72,7 +81,7 @@ class MotionTools:
         if len(context.axes) > 1:
             distances = argument(
                 make_length_mapping_type(context.axes),
-                'Signed distances by axis, in m or rad, or texts such as "10mm".',
+                'Signed distances by axis with their units, such as "10mm".',
             )
             arguments = {"distances": distances, **how_fast, "s_curve": ramps["s_curve"], **timeout}
             tools.append(make(self.line, arguments, moves=True))
@@ -225,8 +234,15 @@ class MotionTools:
         """Return the signed number of pulses and the speeds for the arguments of a move."""
         a, distance, pulses = self._context.axis(axis), values.get("distance"), values.get("pulses")
         if (distance is None) == (pulses is None):
-            raise ArgumentError('give distance ("10mm", or in m) or pulses, one of the two.')
+            raise ArgumentError('give distance ("10mm") or pulses, one of the two.')
         number = procedures.convert_to_pulses(a, distance, pulses)
+        low, high = procedures.find_reach(a)
+        if distance is not None and abs(distance) > high - low:  # no position: a host does not know it
+            unit = POSITION_UNITS[a.unit]
+            raise ArgumentError(
+                f"distance: {unit.format(distance, 'g')} is more than the travel of axis {axis}, "
+                f"{low * unit.factor:g} to {unit.format(high, 'g')}. Give a shorter distance, or pulses."
+            )
         if not number:
             raise ArgumentError(
                 f"no pulse: a pulse of axis {axis} is {a.meters_per_pulse:g} {a.unit}; ask for one at least."

@@ -28,6 +28,7 @@ MAX_INTEGER = (1 << 63) - 1
 UNITS = POSITION_FACTORS["m"] | POSITION_FACTORS["rad"]
 INTEGER_PATTERN = rf"^\s*[-+]?({units.INTEGER_PATTERN})\s*$"
 LENGTH_PATTERN = rf"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*({'|'.join(UNITS)})?\s*$"
+UNIT_PATTERN = LENGTH_PATTERN.replace(")?\\s*$", ")\\s*$")
 REQUIRED: Any = ...
 
 
@@ -165,6 +166,25 @@ Length = Annotated[
 """Meters or radians: a number, or a text with its unit."""
 
 
+def _require_unit(value: Any) -> Any:
+    """Refuse a length without a unit: 10 would be 10 m, and the agent may mean 10 mm."""
+    number_text = value.strip() if isinstance(value, str) else value
+    if (isinstance(value, int | float) and not isinstance(value, bool)) or (
+        isinstance(value, str) and re.fullmatch(LENGTH_PATTERN, number_text) and number_text[-1] in "0123456789."
+    ):
+        raise ValueError(f"{format_value(value)} has no unit; write a text such as '10mm' or '30deg'.")
+    return value
+
+
+LengthWithUnit = Annotated[
+    _Meters,
+    BeforeValidator(_parse_length),
+    BeforeValidator(_require_unit, json_schema_input_type=Annotated[str, Field(pattern=UNIT_PATTERN)]),
+    Field(examples=["10mm"]),
+]
+"""Meters or radians: a text with its unit, for distances of moves."""
+
+
 def number(**bounds: Any) -> Any:
     """Return the type of finite numbers within `bounds`: gt, ge, le, as in `pydantic.Field`."""
     return Annotated[float, Field(allow_inf_nan=False, examples=[0.1], **bounds), BeforeValidator(_check_number)]
@@ -204,7 +224,7 @@ def make_length_mapping_type(names: tuple[str, ...]) -> Any:
             raise ValueError("each name may be given once.")
         return dict(zip(matched, value.values(), strict=True))
 
-    kind = Annotated[dict[Literal[names], Length], Field(min_length=1)]  # type: ignore[valid-type]
+    kind = Annotated[dict[Literal[names], LengthWithUnit], Field(min_length=1)]  # type: ignore[valid-type]
     return Annotated[kind, BeforeValidator(match_axis_names), Field(examples=[dict.fromkeys(names[:2], "10mm")])]
 
 

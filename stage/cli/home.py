@@ -40,7 +40,7 @@ def add_subcommand(commands: Any) -> None:
         help="end at the N-th index pulse after ORG (N > 1: PCL240MK, PCL240MS)",
     )
     options.add_start_option(p)
-    options.add_speed_options(p)
+    options.add_speed_options(p, "the highest speed")
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
 

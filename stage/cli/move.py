@@ -13,12 +13,12 @@ from stage.cli.options import DURATION, RATE, TIME
 from stage.cli.output_files import draw_plot, record_to_files
 from stage.cli.stage_setup import (
     find_axis,
+    find_speed_unit,
     make_stage,
     parse_distance,
     parse_speed_options,
     place_carriage,
     split_pair,
-    warn_if_beyond_limits,
 )
 from stage.cli.terminal_output import show_simulated_time
 from stage.errors import ArgumentError, add_article
@@ -30,6 +30,7 @@ def add_subcommand(commands: Any) -> None:
         commands, "move", move, "move an axis by pulses or by a distance",
         "Move by a number of pulses, or by a distance, and stop on the last pulse. With a PCL-240 it is a preset move: R0 counts "
         "the pulses down, and the ramp-down point R6 follows from the data sheet's formula, or the chip finds it itself.",
+        ("stage move x 10mm --speed 50mm/s", "move by 10 mm at 50 mm/s"),
         ("stage move x 8000 --fh1 20000", "move by 8000 pulses at 20,000 pps"),
         ("stage move x -10mm --chips hctl1100", "move a servo axis 10 mm towards minus"),
         ("stage move x 8000 --chips pcl240ms --s-curve --plot s.png", "draw a move with S-curve ramps"),
@@ -62,7 +63,7 @@ def add_subcommand(commands: Any) -> None:
         "--dwell", type=TIME, default=0.1, help="seconds at each rate except the last, after its ramp (default: 0.1)"
     )
     options.add_start_option(p)
-    options.add_speed_options(p)
+    options.add_speed_options(p, "the highest speed")
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
     p = add_command(
@@ -77,9 +78,10 @@ def add_subcommand(commands: Any) -> None:
         "distances", nargs="+", metavar="AXIS=DISTANCE", help="for example x=20000 y=-7500, or x=10mm y=-2mm"
     )
     p.add_argument(
-        "--rate", dest="fh1", type=RATE, metavar="RATE", help="rate of the axis with the most pulses, in pps"
-    )
-    p.add_argument("--fl", type=RATE, help="rate of that axis at its start and stop, in pps")
+        "--speed", "--rate", dest="fh1", type=RATE, metavar="SPEED",
+        help="speed of the axis with the most pulses: 5000 or 5kpps, or 20mm/s of its carriage",
+    )  # fmt: skip
+    p.add_argument("--fl", type=RATE, help="speed of that axis at its start and stop")
     p.add_argument("--accel", type=DURATION, help="duration of the ramps, in s")
     options.add_ramp_options(p)
     options.add_plot_option(p)
@@ -126,6 +128,7 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
         run: Function of the axis, the pulses and the speeds that makes the move and returns its report.
     """
     from stage.firmware.driver import get_driver
+    from stage.firmware.procedures import describe_overtravel, explain_rates_in_units
 
     stage = make_stage(args)
     axis = find_axis(stage, args.axis)
@@ -134,11 +137,14 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
     if axis.tandem:
         _warn_of_tandem(args, axis, axis.tandem, [f"{axis.name}={args.distance}"])
     with record_to_files(args, stage), show_simulated_time(stage):
-        pulses, speeds = parse_distance(axis, args.distance), parse_speed_options(args, axis)
-        warn_if_beyond_limits(args, axis, pulses)
-        if described := get_driver(axis).describe_speeds(speeds):
+        pulses, speeds = parse_distance(axis, args.distance), parse_speed_options(args, axis, "rates" not in args)
+        described, overtravel = get_driver(axis).describe_speeds(speeds), describe_overtravel(axis, pulses)
+        with explain_rates_in_units(axis, find_speed_unit(args)):
+            report = run(axis, pulses, speeds)
+        if overtravel:
+            warn(args, overtravel)
+        if described:
             print(described)
-        report = run(axis, pulses, speeds)
         print(report)
         print(report.listing())
         add_facts(args, reports=[report])
@@ -168,7 +174,7 @@ def sync(args: argparse.Namespace) -> int:
     """Move several axes along a line; return 0 if they have moved as requested."""
     from stage import firmware
     from stage.firmware.driver import get_driver
-    from stage.firmware.procedures import check_same_chip_kind
+    from stage.firmware.procedures import check_same_chip_kind, describe_overtravel, explain_rates_in_units
 
     stage = make_stage(args)
     pulses: dict[str, int] = {}
@@ -180,14 +186,18 @@ def sync(args: argparse.Namespace) -> int:
         if name in pulses:
             raise ArgumentError(f"{item!r}: axis {name} already has {pulses[name]} pulses. Give each axis once.")
         pulses[name] = parse_distance(axis, distance)
-        warn_if_beyond_limits(args, axis, pulses[name])
+    overtravels = [text for name, n in pulses.items() if (text := describe_overtravel(stage.axes[name], n))]
     for name in pulses:
         if left := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
             _warn_of_tandem(args, stage.axes[name], left, args.distances)
     check_same_chip_kind({name: get_driver(stage.axes[name]) for name in pulses})
-    speeds = parse_speed_options(args, stage.axes[next(iter(pulses))])
+    fastest = stage.axes[max(pulses, key=lambda name: abs(pulses[name]))]
+    speeds = parse_speed_options(args, fastest)
     with record_to_files(args, stage), show_simulated_time(stage):
-        report = firmware.line(pulses, stage.axes, pulses=True, speed=speeds)
+        with explain_rates_in_units(fastest, find_speed_unit(args)):
+            report = firmware.line(pulses, stage.axes, pulses=True, speed=speeds)
+        for text in overtravels:
+            warn(args, text)
         if report.plan:
             print(report.plan)
         print(report)

@@ -6,9 +6,9 @@ import argparse
 import math
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
-from stage.units import OTHER_FACTORS, explain_number_error, identify_unit, parse_quantity
+from stage.units import OTHER_FACTORS, POSITION_FACTORS, explain_number_error, identify_unit, parse_quantity
 
 PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
 CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100", "STEPDIR")
@@ -55,7 +55,43 @@ class IntegerWithUnit(NumberWithUnit):
         return round(value)
 
 
-RATE, DURATION = NumberWithUnit("pulse rate", positive=True), NumberWithUnit("time", positive=True)
+class SpeedOfCarriage(NamedTuple):
+    """Speed that a user has typed in a unit of length or angle, for example 50mm/s. Only an axis can convert it to pulses.
+
+    Attributes:
+        value: Speed, m/s or rad/s.
+        unit: SI unit of the distance, "m" or "rad".
+        symbol: Unit that the user has typed, for example "mm/s".
+        text: What the user has typed.
+    """
+
+    value: float
+    unit: str
+    symbol: str
+    text: str
+
+
+class RateWithUnit(NumberWithUnit):
+    """Parser of an option's value for argparse: a pulse rate such as 20kpps, or a speed of the carriage such as 50mm/s."""
+
+    def __call__(self, text: str) -> Any:
+        """Parse a rate, and return it in pps, or a SpeedOfCarriage."""
+        distance, slash, second = text.strip().partition("/")
+        if not (slash and second in ("s", "min")):
+            return super().__call__(text)
+        for unit, factors in POSITION_FACTORS.items():
+            value = parse_quantity(distance, factors)
+            if value is not None:
+                if not 0 < value < math.inf:
+                    raise argparse.ArgumentTypeError(f"{text} must be greater than 0, and finite")
+                symbol = next(u for u in sorted(factors, key=len, reverse=True) if distance.endswith(u))
+                return SpeedOfCarriage(value / OTHER_FACTORS["time"][second], unit, f"{symbol}/{second}", text.strip())
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a speed. Give a pulse rate in pps, or a speed of the carriage: 50mm/s, 3000mm/min, 30deg/s."
+        )
+
+
+RATE, DURATION = RateWithUnit("pulse rate", positive=True), NumberWithUnit("time", positive=True)
 TIME, VOLTAGE, MASS, FREQUENCY = map(NumberWithUnit, ("time", "voltage", "mass", "frequency"))
 HERTZ = IntegerWithUnit("frequency")
 
@@ -177,16 +213,18 @@ def add_start_option(parser: Any) -> None:
     )  # fmt: skip
 
 
-def add_speed_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of speeds and ramp times."""
-    group = parser.add_argument_group("speeds (pulses per second; the chip makes the nearest that its registers allow)")
-    group.add_argument("--fl", type=RATE, help="FL: rate at the start and at the stop")
-    group.add_argument("--fh1", type=RATE, help="FH1: rate of the move")
-    group.add_argument("--fh2", type=RATE, help="FH2: second rate (PCL-240 family; default: twice FH1)")
-    group.add_argument("--accel", type=DURATION, help="seconds from FL to the highest rate")
-    group.add_argument(
-        "--decel", type=DURATION, help="seconds from the highest rate to FL (default: the same as --accel)"
+def add_speed_options(parser: argparse.ArgumentParser, ramp_end: str = "the speed of the move") -> None:
+    """Add the options of speeds and ramp times. `ramp_end` names the speed at which the ramp up ends, for the help."""
+    group = parser.add_argument_group(
+        "speeds (20000 or 20kpps: pulses per second; 50mm/s, 30deg/s: of the carriage; the chip makes the nearest that its "
+        "registers allow)"
     )
+    group.add_argument("--fl", type=RATE, help="FL: speed at the start and at the stop")
+    group.add_argument("--speed", dest="fh1", metavar="SPEED", type=RATE, help="speed of the move, with any chip")
+    group.add_argument("--fh1", type=RATE, help="FH1: the same as --speed")
+    group.add_argument("--fh2", type=RATE, help="FH2: second speed (PCL-240 family; default: twice FH1)")
+    group.add_argument("--accel", type=DURATION, help=f"seconds from FL to {ramp_end} (default: 0.15, to FH2)")
+    group.add_argument("--decel", type=DURATION, help=f"seconds from {ramp_end} to FL (default: the same as --accel)")
 
 
 def add_ramp_options(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import Any
 
-from stage.cli.command_interface import warn
+from stage.cli.options import SpeedOfCarriage
 from stage.errors import ArgumentError, add_article, unknown_name_error
 from stage.support.axis_value_parsing import parse_chips, parse_multichip, parse_syni, parse_wiring, split_pair
 from stage.units import POSITION_FACTORS, POSITION_UNITS, explain_number_error, parse_position
@@ -96,14 +96,19 @@ SPEED_OPTIONS = {
 """Options of the command line, and those of `parse_speeds`; the last four are not of every family."""
 
 
-def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
+def parse_speed_options(args: argparse.Namespace, axis: Any, ramps_end_at_drive: bool = False) -> Any:
     """Return the `Speeds` that the options set for an axis.
+
+    Args:
+        args: Options of the command.
+        axis: Axis that moves.
+        ramps_end_at_drive: Whether --accel and --decel are the times of the ramps to FH1, even if FH2 is higher.
 
     Raises:
         ArgumentError: The axis' chip does not support one of the options.
     """
     from stage.firmware.driver import get_driver
-    from stage.firmware.procedures import parse_speeds
+    from stage.firmware.procedures import explain_rates_in_units, parse_speeds
 
     driver, chip = get_driver(axis), add_article(axis.chip.MAP.chip)
     values = {name: value for name in SPEED_OPTIONS if (value := getattr(args, name, None)) not in (None, False)}
@@ -117,15 +122,41 @@ def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
         raise ArgumentError(
             f"--s-curve {args.s_curve:g}: {chip} cannot set the share of an S-curve. Give --s-curve alone."
         )
-    options = {SPEED_OPTIONS[name]: value for name, value in values.items()} | {
-        "automatic": getattr(args, "automatic", None)
-    }
+    options = {SPEED_OPTIONS[name]: _convert_speed(axis, name, value) for name, value in values.items()}
+    options["automatic"] = getattr(args, "automatic", None)
     if "fast_only" in values:
         options["approach"] = 0.0
-    speeds = parse_speeds(axis, options, in_pulses=True)
-    if "fh2" in args and "fh2" not in values and (second := driver.get_default_second_rate(speeds.drive)):
-        return parse_speeds(axis, options | {"second": second}, in_pulses=True)
+    with explain_rates_in_units(axis, find_speed_unit(args)):
+        speeds = parse_speeds(axis, options, in_pulses=True)
+        if "fh2" in args and "fh2" not in values:
+            second = driver.get_default_second_rate(speeds.drive)
+            if second is not None:
+                speeds = parse_speeds(axis, options | {"second": second}, in_pulses=True)
+        if ramps_end_at_drive and speeds.second and speeds.second > speeds.drive > speeds.start:
+            steeper = (speeds.second - speeds.start) / (speeds.drive - speeds.start)
+            up, down = "accel" in values, "accel" in values or "decel" in values
+            speeds = speeds._replace(
+                up=speeds.up * (steeper if up else 1.0), down=speeds.down * (steeper if down else 1.0)
+            )
     return speeds
+
+
+def find_speed_unit(args: argparse.Namespace) -> str:
+    """Return the unit in which the user has typed a speed of the carriage, for example "mm/s"; "" for pulse rates."""
+    typed = (getattr(args, name, None) for name in ("fh1", "fl", "fh2"))
+    return next((value.symbol for value in typed if isinstance(value, SpeedOfCarriage)), "")
+
+
+def _convert_speed(axis: Any, name: str, value: Any) -> Any:
+    """Return the value of a speed option in pps; values of other options stay as they are."""
+    if not isinstance(value, SpeedOfCarriage):
+        return value
+    if value.unit != axis.unit:
+        example = "30deg/s" if axis.unit == "rad" else "50mm/s"
+        raise ArgumentError(
+            f"--{name} {value.text}: axis {axis.name} moves in {POSITION_UNITS[axis.unit].symbol}. Give a speed such as {example}."
+        )
+    return value.value / axis.meters_per_pulse
 
 
 def parse_distance(axis: Any, text: str) -> int:
@@ -141,28 +172,14 @@ def parse_distance(axis: Any, text: str) -> int:
         return convert_to_pulses(axis, None, int(text, 0))
     except ValueError:
         distance = parse_position(text, axis.unit) if text.endswith(tuple(POSITION_FACTORS[axis.unit])) else None
+    if distance is not None and not math.isfinite(distance):
+        raise ArgumentError(f"{text!r} is not a finite number. Give axis {axis.name} a distance such as 10mm.")
     if distance is None:
         raise ArgumentError(
             f"{text!r}: give a whole number of pulses for axis {axis.name}, such as 8000, or a distance in "
             f"{', '.join(POSITION_FACTORS[axis.unit])}, such as 10{POSITION_UNITS[axis.unit].symbol}.{explain_number_error(text)}"
         )
     return convert_to_pulses(axis, distance, None)
-
-
-def warn_if_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> None:
-    """Print a warning if a move of `pulses` would pass an end limit of the axis, or the end of its travel if it has no limits."""
-    ends = {s.pin: s.touch for s in axis.plant.switches}
-    low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
-    low, high = ends.get("el_minus", low), ends.get("el_plus", high)
-    goal = axis.position + pulses * axis.meters_per_pulse * math.copysign(1.0, axis.gear)
-    slack = abs(axis.meters_per_pulse)
-    if not low - slack <= goal <= high + slack:
-        unit = POSITION_UNITS[axis.unit]
-        warn(
-            args,
-            f"axis {axis.name} reaches from {low * unit.factor:g} to {unit.format(high, 'g')}, and this move goes to "
-            f"{unit.format(goal, '.4g')}.",
-        )
 
 
 def find_axis(stage: Any, name: str) -> Any:

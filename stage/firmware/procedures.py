@@ -14,7 +14,10 @@ Procedures that only one family offers are separate functions: `preset_move` and
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from stage.chips.exclusive_access import exclusive
@@ -33,6 +36,7 @@ from stage.firmware.driver import (
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.synchronized_report import SynchronizedReport, select_axes
 from stage.support.argument_checks import check_timeout, explain_arguments
+from stage.units import OTHER_FACTORS, POSITION_FACTORS, POSITION_UNITS
 
 
 @explain_arguments
@@ -52,7 +56,8 @@ def move(
 
     Args:
         axis: Axis of a Stage or a Bench.
-        distance: Signed distance, m (rad on a hinge), which is rounded to whole pulses.
+        distance: Signed distance, m (rad on a hinge), which is rounded to whole pulses. A distance beyond the end limits causes a
+            warning, and the limit switch ends the move.
         pulses: Signed pulses instead of a distance; counts of a servo.
         speed: Drive speed, m/s (rad/s), or `Speeds` with all rates and ramps. Default: 16,000 pulses per second; if the chip itself
             determines the microsteps, the speed of 16,000 pulses of 1/16 full step per second.
@@ -73,7 +78,11 @@ def move(
     check_no_action(axis)
     check_timeout(timeout)
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
-    return get_driver(axis).move(convert_to_pulses(axis, distance, pulses), parse_speeds(axis, options), timeout)
+    count, speeds = convert_to_pulses(axis, distance, pulses), parse_speeds(axis, options)
+    if distance is not None and (text := describe_overtravel(axis, count)):
+        warnings.warn(f"distance={distance:g} {axis.unit}: {text}", stacklevel=3)
+    with explain_rates_in_units(axis, "SI" if isinstance(speed, int | float) else ""):
+        return get_driver(axis).move(count, speeds, timeout)
 
 
 @exclusive
@@ -385,8 +394,69 @@ def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False
         )
         if "start_speed" not in given:
             made = made._replace(start=min(made.start, made.drive, made.second or math.inf))
-    get_driver(axis).check_speeds(made)
+    with explain_rates_in_units(axis, "SI" if isinstance(options.get("speed"), int | float) and not in_pulses else ""):
+        get_driver(axis).check_speeds(made)
     return made
+
+
+@contextmanager
+def explain_rates_in_units(axis: Axis, symbol: str) -> Iterator[None]:
+    """Within this block, add to each pulse rate in the text of an ArgumentError the speed of the carriage.
+
+    Args:
+        axis: Axis that moves.
+        symbol: Unit in which the user has given a speed, for example "mm/s"; "SI" for m/s or rad/s; "" for pulses per second:
+            then errors stay as they are.
+    """
+    try:
+        yield
+    except ArgumentError as error:
+        if symbol and axis.meters_per_pulse is not None:
+            error.args = (_add_speeds(str(error), axis, symbol), *error.args[1:])
+        raise
+
+
+def _add_speeds(text: str, axis: Axis, symbol: str) -> str:
+    """Return a text with the speed of the carriage after each pulse rate, for example 4000 pps (12.5 mm/s)."""
+    symbol = f"{axis.unit}/s" if symbol == "SI" else symbol
+    distance, second = symbol.split("/")
+    unit = POSITION_FACTORS[axis.unit][distance] / OTHER_FACTORS["time"][second]
+
+    def add(match: re.Match) -> str:
+        rates = [float(number.replace(",", "")) for number in (match[1], match[2]) if number]
+        speeds = " to ".join(f"{rate * axis.meters_per_pulse / unit:.4g}" for rate in rates)
+        return f"{match[0]} ({speeds} {symbol})"
+
+    number = r"(\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?)"
+    return re.sub(rf"{number}(?: to {number})? pps", add, text)
+
+
+def find_reach(axis: Any) -> tuple[float, float]:
+    """Return the positions of an axis of a stage between its end limits, m or rad; without limits the ends of its travel."""
+    ends = {s.pin: s.touch for s in axis.plant.switches}
+    low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
+    return ends.get("el_minus", low), ends.get("el_plus", high)
+
+
+def describe_overtravel(axis: Axis, pulses: int) -> str:
+    """Describe a move past an end limit of the axis, or past the end of its travel if it has no limits; "" for any other move.
+
+    Args:
+        axis: Axis that is about to move; an axis of a bench has no travel.
+        pulses: Signed pulses of the move.
+    """
+    if getattr(axis, "plant", None) is None or axis.meters_per_pulse is None:
+        return ""
+    low, high = find_reach(axis)
+    goal = axis.position + pulses * axis.meters_per_pulse * get_forward_direction(axis)
+    slack = abs(axis.meters_per_pulse)
+    if low - slack <= goal <= high + slack:
+        return ""
+    unit = POSITION_UNITS[axis.unit]
+    return (
+        f"axis {axis.name} reaches from {low * unit.factor:g} to {unit.format(high, 'g')}, and this move goes to "
+        f"{unit.format(goal, '.4g')}."
+    )
 
 
 def convert_to_pulses(axis: Axis, distance: float | None, pulses: int | None) -> int:
@@ -407,7 +477,7 @@ def convert_to_pulses(axis: Axis, distance: float | None, pulses: int | None) ->
             raise ArgumentError(f"pulses={pulses!r}: a whole number; the sign is the direction.")
         return int(pulses)
     if not isinstance(distance, int | float) or not math.isfinite(distance):
-        raise ArgumentError(f"distance={distance!r}: metres, or radians on a hinge.")
+        raise ArgumentError(f"distance={distance!r} is not a finite number of meters, or of radians on a hinge.")
     return round(get_forward_direction(axis) * distance / _get_meters_per_pulse(axis, "distance"))
 
 

@@ -59,7 +59,7 @@ def test_a_distance_is_signed_pulses_and_a_timeout_is_the_driver_s(requested):
     for arguments, pulses in (
         ({"pulses": -50}, -50),
         ({"distance": "10mm"}, 3200),
-        ({"distance": -0.001}, -320),
+        ({"distance": "-0.001 m"}, -320),
         ({"distance": f"{0.6 * PULSE}m"}, 1),
     ):
         name, wanted, speeds, timeout = requested("move", **arguments)
@@ -119,10 +119,10 @@ def test_a_line_has_its_speeds_its_curve_and_its_timeout(make_box, monkeypatch):
         raise StageError("noted.")
 
     monkeypatch.setattr(procedures, "line", line)
-    arguments = {"distances": {"x": "1mm", "Y": -0.002}, "speed": 0.02, "s_curve": True, "timeout": 4, "accel": 0.2}
+    arguments = {"distances": {"x": "1mm", "Y": "-2mm"}, "speed": 0.02, "s_curve": True, "timeout": 4, "accel": 0.2}
     assert box.call("line", arguments).text == "noted."
     distances, how = noted[0]
-    assert distances == {"x": pytest.approx(1e-3), "y": -0.002}
+    assert distances == {"x": pytest.approx(1e-3), "y": pytest.approx(-0.002)}
     assert how == {"speed": 0.02, "s_curve": True, "timeout": 4.0, "accel": 0.2}
 
 
@@ -184,3 +184,15 @@ def test_home_squares_a_gantry_with_the_requested_direction_and_timeout(monkeypa
     assert (first[1], first[3]) == (-1, 60.0)
     assert (other[1], other[3]) == (1, 7.0)
     assert other[2].drive == pytest.approx(16_000)
+
+
+@pytest.mark.parametrize("tool", ["move", "start"])
+def test_a_distance_needs_a_unit_and_fits_into_the_travel(make_box, tool):
+    """move(axis="x", distance=10) drove x into EL+ at its full speed: the agent meant 10 mm, and got 10 m"""
+    box = make_box()
+    for distance in (10, "10", 0.01, "-3."):
+        text = box.call(tool, {"axis": "x", "distance": distance}).text
+        assert "has no unit; write a text such as '10mm' or '30deg'." in text
+    text = box.call(tool, {"axis": "x", "distance": "10m"}).text
+    assert "10000 mm is more than the travel of axis x, -150 to 150 mm." in text
+    assert box.axis("x").position == 0.0
