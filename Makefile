@@ -181,6 +181,7 @@ pictures: .venv/.dev
 	$(BIN)/python scripts/servo_moves.py --picture docs/pictures/servo.png
 	for script in s_curve origin_spread circles_and_helices; do $(BIN)/python scripts/$$script.py --picture docs/pictures/$$script.png || exit 1; done
 	$(BIN)/python scripts/waveforms_picture.py
+	$(BIN)/python scripts/machine_picture.py
 	$(BIN)/python scripts/panel_pictures.py
 
 clean:

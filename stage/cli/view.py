@@ -102,8 +102,9 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
     mujoco.mj_forward(model, data)
     with make_renderer(model, HEIGHT_PX, WIDTH_PX) as picture:
         picture.update_scene(data, camera or ("overview" if "overview" in cameras else _make_camera(model)))
-        eye = picture.scene.camera[0]
         image = picture.render()
+        eye, other = picture.scene.camera  # the picture is seen from between the two eyes
+        eye.pos[:] = [(a + b) / 2 for a, b in zip(eye.pos, other.pos, strict=True)]
     figure = figures.Figure(figsize=(WIDTH_PX / 100, HEIGHT_PX / 100), dpi=100)
     ax = figure.add_axes((0, 0, 1, 1))
     ax.imshow(image)

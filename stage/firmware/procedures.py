@@ -80,7 +80,7 @@ def move(
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
     count, speeds = convert_to_pulses(axis, distance, pulses), parse_speeds(axis, options)
     if distance is not None and (text := describe_overtravel(axis, count)):
-        warnings.warn(f"distance={distance:g} {axis.unit}: {text}", stacklevel=3)
+        warnings.warn(f"distance={distance:g}: {text}", stacklevel=3)
     with explain_rates_in_units(axis, "SI" if isinstance(speed, int | float) else ""):
         return get_driver(axis).move(count, speeds, timeout)
 
@@ -400,7 +400,7 @@ def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False
 
 
 @contextmanager
-def explain_rates_in_units(axis: Axis, symbol: str) -> Iterator[None]:
+def explain_rates_in_units(axis: Any, symbol: str) -> Iterator[None]:
     """Within this block, add to each pulse rate in the text of an ArgumentError the speed of the carriage.
 
     Args:
@@ -416,7 +416,7 @@ def explain_rates_in_units(axis: Axis, symbol: str) -> Iterator[None]:
         raise
 
 
-def _add_speeds(text: str, axis: Axis, symbol: str) -> str:
+def _add_speeds(text: str, axis: Any, symbol: str) -> str:
     """Return a text with the speed of the carriage after each pulse rate, for example 4000 pps (12.5 mm/s)."""
     symbol = f"{axis.unit}/s" if symbol == "SI" else symbol
     distance, second = symbol.split("/")
@@ -438,7 +438,7 @@ def find_reach(axis: Any) -> tuple[float, float]:
     return ends.get("el_minus", low), ends.get("el_plus", high)
 
 
-def describe_overtravel(axis: Axis, pulses: int) -> str:
+def describe_overtravel(axis: Any, pulses: int) -> str:
     """Describe a move past an end limit of the axis, or past the end of its travel if it has no limits; "" for any other move.
 
     Args:
