@@ -109,7 +109,9 @@ def test_pullout_prints_a_table_and_draws(work_folder, capsys):
 
 
 def test_view_without_a_screen_says_what_to_do(work_folder, capsys):
-    assert "no screen" in run_command(capsys, "view", code=2).err
+    out, err = run_command(capsys, "view", code=2)
+    assert "no screen" in err
+    assert out == "", "an error comes before other output"
     assert "el_plus" in run_command(capsys, "view", "--text").out
 
 

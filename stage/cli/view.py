@@ -41,6 +41,10 @@ def run(args: argparse.Namespace) -> int:
     from stage.support.opengl import check_window
 
     check_outputs(args)
+    if args.picture:
+        import_extra("matplotlib.figure", "drawing")
+    elif not (args.text or args.json):
+        check_window("`stage view --text` prints the axes, --picture draws them.")
     model, _ = plant.compile_spec(plant.open_spec(args.model), 0)
     print(plant.format_axes(model))
     Stage(args.model)  # checks what a stage needs beyond the contract
@@ -50,7 +54,6 @@ def run(args: argparse.Namespace) -> int:
         report_written_file(args, args.picture, "drawn")
     if args.text or args.picture or args.json:
         return 0
-    check_window("`stage view --text` prints the axes, --picture draws them.")
     import mujoco.viewer
 
     mujoco.viewer.launch(model)
