@@ -55,7 +55,7 @@ class OscilloscopeView:
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
                 ui.label("Oscilloscope").classes("section")
                 self.run_button = ui.button("Freeze", icon="ac_unit", on_click=self._toggle_running)
-                self.run_button.props("dense outline no-caps color=cyan-9 data-test=run")
+                self.run_button.props("dense outline no-caps data-test=run")
                 self.run_button.tooltip("freeze the picture, or let it follow the time; nothing stops")
                 spans = {s: f"{s * 1e3:g} ms" if s < 1 else f"{s:g} s" for s in SPANS}
                 self._build_select("window", "span", 100, spans, self.scope.span, self._set_span)

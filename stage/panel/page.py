@@ -276,7 +276,7 @@ PRIMARY = "#2f74b5"  # white on it, and it on white, has a contrast of 4.9
 STYLE = """
 html { scroll-padding-top: 60px }
 .body--light { background: #f2f4f7 }
-.body--dark .text-primary { color: #7db6ea !important }
+.body--dark .text-primary { --q-primary: #7db6ea }
 .panel .q-btn--dense:not(.q-btn--round), .stops .q-btn { padding: 3px 10px }
 .panel .q-btn-toggle .q-btn { min-width: 34px }
 .panel .nicegui-card { gap: 8px; padding: 10px 12px; box-shadow: none; border: 1px solid #8884; border-radius: 8px }
