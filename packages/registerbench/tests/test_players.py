@@ -123,14 +123,14 @@ def test_an_endpoint_that_cannot_be_reached_is_reported():
 @pytest.mark.slow
 def test_a_client_of_the_protocol_plays_a_game(tmp_path):
     pytest.importorskip("mcp")
-    from mcp import McpClientPlayer
+    from mcp import Client
     from mcp.client.stdio import StdioServerParameters
 
     file = tmp_path / "t.jsonl"
 
     async def work():
         arguments = ["-m", "stage", "agent", "diagnosis:late", "--mcp", "-o", str(file)]
-        async with McpClientPlayer(StdioServerParameters(command=sys.executable, args=arguments)) as client:
+        async with Client(StdioServerParameters(command=sys.executable, args=arguments)) as client:
             assert "write_program" in [t.name for t in (await client.list_tools()).tools]
             assert not (await client.list_resources()).resources
             program = (await client.call_tool("program", {})).content[0].text
