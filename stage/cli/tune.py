@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
 from stage.cli import options
-from stage.cli.command_interface import add_command, add_facts
+from stage.cli.command_interface import add_command, add_facts, warn
 from stage.cli.options import MASS
 from stage.cli.stage_setup import find_axis, make_stage, parse_distance
 from stage.cli.terminal_output import rewrite_line
@@ -18,6 +19,9 @@ from stage.errors import ArgumentError, StageError
 from stage.units import OTHER_FACTORS, POSITION_FACTORS, POSITION_UNITS, parse_quantity
 
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
+SHORT_MOVE_RAD = (
+    2 * math.pi / 10
+)  # turn of the motor; a shorter distance without a unit was probably meant in millimeters
 
 
 def add_subcommand(commands: Any) -> None:
@@ -95,10 +99,14 @@ def run(args: argparse.Namespace) -> int:
     axis = find_axis(stage, args.axis) if args.axis else next(iter(stage.axes.values()))
     within, hold = _parse_settle(axis, args.settle)
     overshoot = None if args.overshoot is None else _parse_length(axis, "--overshoot", args.overshoot)
+    pulses = parse_distance(axis, args.distance)
     task = Task(
-        stage, axis.name, parse_distance(axis, args.distance), args.payload, parse_spare(args.spare, args.payload), within, hold,
+        stage, axis.name, pulses, args.payload, parse_spare(args.spare, args.payload), within, hold,
         overshoot, args.site, args.payload_on,
     )  # fmt: skip
+    unit_hint = explain_unit(axis, args.distance)
+    if unit_hint and abs(pulses) * abs(axis.meters_per_pulse * axis.gear) < SHORT_MOVE_RAD:
+        warn(args, unit_hint)
     progress = _SearchProgress(args.trials)
     try:
         result = tune(
@@ -111,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
             on_progress=progress,
         )
     except StageError as error:
-        raise StageError(f"{error}{explain_unit(axis, args.distance)}") from error
+        raise StageError(f"{error} {unit_hint}".rstrip()) from error
     finally:
         rewrite_line("")
     add_facts(args, result)
@@ -191,7 +199,7 @@ def explain_unit(axis: Any, distance: str) -> str:
     if parse_quantity(distance, {"": 1.0}) is None:
         return ""
     pulses = "counts" if get_driver(axis).has_position_loop else "pulses"
-    return f" --distance {distance} is {distance} {pulses}: did you mean {distance}{POSITION_UNITS[axis.unit].symbol}?"
+    return f"--distance {distance} is {distance} {pulses}: did you mean {distance}{POSITION_UNITS[axis.unit].symbol}?"
 
 
 def _parse_settle(axis: Any, settle: list[str] | None) -> tuple[float | None, float]:

@@ -126,7 +126,7 @@ def test_the_error_of_a_distance_without_a_unit_proposes_the_unit_of_the_axis():
     assert [s.split("did you mean ")[1] for s in message] == ["100mm?", "100mm?", "100deg?"]
     assert ["counts" in s for s in message] == [True, False, False]
     assert explain_unit(stage.axes["x"], "100mm") == ""
-    assert explain_unit(stage.axes["y"], " -100") == " --distance -100 is -100 pulses: did you mean -100mm?"
+    assert explain_unit(stage.axes["y"], " -100") == "--distance -100 is -100 pulses: did you mean -100mm?"
 
 
 def test_progress_is_shown_only_on_a_terminal(capsys, monkeypatch):

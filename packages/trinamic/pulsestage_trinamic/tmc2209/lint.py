@@ -7,9 +7,8 @@ from typing import Any
 
 from pulsestage_trinamic.tmc2209 import maps, state
 from stage.chips.diagnostics import Finding, Rule
+from stage.chips.stepdir import STEPDIR
 from stage.chips.stepdir.lint import lint_write as lint_step_timer
-from stage.chips.stepdir.maps import CONTROL_ADDRESS
-from stage.chips.stepdir.step_timer import GO
 
 NO_REGISTER = Rule("tmc2209-no-register", "section 5")
 READ_ONLY = Rule("tmc2209-read-only", "section 5")
@@ -48,7 +47,8 @@ def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
         address: Bus address.
         value: Datum.
     """
-    if address == CONTROL_ADDRESS and value & GO and c["registers"][state.VACTUAL]:
+    begins_to_move = STEPDIR.find_selected_direction(address, value) is not None
+    if begins_to_move and c["registers"][state.VACTUAL]:
         yield VELOCITY_ON, "the chip ignores STEP: VACTUAL is not 0, so it makes its own steps"
     if address < maps.UART_BYTE:
         yield from lint_step_timer(c, address, value)
