@@ -66,7 +66,14 @@ packages: .venv/.packages
 test-packages: .venv/.packages
 	$(BIN)/python -m pytest -n 2 --dist worksteal packages
 
-test-slow: .venv/.packages
+.venv/.ioc: .venv/.dev pyproject.toml
+	$(BIN)/python -m pip install -q -e '.[epics-clients]'
+	@touch $@
+
+test-ioc: .venv/.ioc
+	$(BIN)/python -m pytest -n 2 --dist worksteal tests/ioc
+
+test-slow: .venv/.packages .venv/.ioc
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow'
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' packages
 	PULSESTAGE_EXAMPLES=1500 $(BIN)/python -m pytest -n 2 tests/chips

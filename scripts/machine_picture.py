@@ -14,7 +14,7 @@ from stage.support.opengl import make_renderer
 
 WIDTH_PX, HEIGHT_PX = 1600, 800
 CAMERA = {"azimuth": 52.0, "elevation": -24.0, "distance": 0.74}
-LOOK_AT_M = (-0.045, -0.02, 0.035)
+CAMERA_TARGET_M = (-0.045, -0.02, 0.035)
 Y_M = -0.05  # where the vane of Y is seen between the switches
 PARTS = (
     ("motor", (-0.327, 0.0, 0.035), (130, 655), "turns the screw"),
@@ -33,7 +33,7 @@ def render(model: Any, data: Any) -> tuple[np.ndarray, Any]:
     model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH_PX, HEIGHT_PX
     model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.5, 0.35
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = LOOK_AT_M
+    camera.lookat[:] = CAMERA_TARGET_M
     camera.azimuth, camera.elevation, camera.distance = CAMERA["azimuth"], CAMERA["elevation"], CAMERA["distance"]
     with make_renderer(model, HEIGHT_PX, WIDTH_PX) as renderer:
         renderer.update_scene(data, camera)

@@ -2,7 +2,7 @@
 
 import pytest
 
-pytest.importorskip("caproto", reason="needs the extra epics: pip install 'pulsestage[epics]'")
+pytest.importorskip("caproto", reason="needs clients of EPICS: run make test-ioc")
 
 from stage.testing.ioc_process import isolate_clients
 
