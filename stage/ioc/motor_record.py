@@ -71,6 +71,8 @@ class MotorRecord(PVGroup):
         prefix: Name of the record.
         controller: Controller of the axis.
         axis: The axis.
+        publish_machine: Function that publishes the PVs beside the record. Each reading appears there first, so that a client that
+            waits for the record finds them up to date.
     """
 
     motor = pvproperty(dtype=TargetValue, value=0.0, name="", record=StageMotorFields, precision=PRECISION)
@@ -79,9 +81,18 @@ class MotorRecord(PVGroup):
         read_only=True, doc="why the last request was refused, or what went wrong",
     )  # fmt: skip
 
-    def __init__(self, prefix: str, *, controller: MotionController, axis: ControlledAxis, **kwargs: Any):
+    def __init__(
+        self,
+        prefix: str,
+        *,
+        controller: MotionController,
+        axis: ControlledAxis,
+        publish_machine: Callable[[Reading], Awaitable[None]],
+        **kwargs: Any,
+    ):
         super().__init__(prefix, **kwargs)
         self._controller, self._axis, self._name = controller, axis, axis.axis.name
+        self._publish_machine = publish_machine
         self._reading: Reading = axis.read()
         self._written: dict[str, Any] = {}
         self._number = 0
@@ -177,8 +188,11 @@ class MotorRecord(PVGroup):
         await self.publish(self._reading)
 
     async def publish(self, reading: Reading) -> None:
-        """Publish what an axis does."""
+        """Publish what an axis does, unless a newer reading has been published."""
+        if reading.state.time < self._reading.state.time:
+            return
         self._reading = reading
+        await self._publish_machine(reading)
         state, switches, step = reading.state, reading.state.switches, self._axis.step
         if state.speed:
             self._direction = 1 if state.speed > 0 else -1
@@ -235,6 +249,7 @@ class MotorRecord(PVGroup):
     async def _accept_request(self) -> None:
         """Clear the message of an earlier refusal."""
         self._axis.trouble = ""
+        self._reading = self._axis.read()  # an older reading, which may have the trouble, is not published any more
         await self._say("")
 
     async def _follow(self) -> None:

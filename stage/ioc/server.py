@@ -39,11 +39,14 @@ class Ioc:
         self._is_publishing = False
         self._controller = MotionController(stage, pace, self._publish_from_worker, period)
         axes = self._controller.axes
-        self._records = {
-            name: MotorRecord(prefix + name, controller=self._controller, axis=axis) for name, axis in axes.items()
-        }
         self._axis_pvs = {
             name: AxisPVs(prefix + name, controller=self._controller, axis=axis) for name, axis in axes.items()
+        }
+        self._records = {
+            name: MotorRecord(
+                prefix + name, controller=self._controller, axis=axis, publish_machine=self._axis_pvs[name].publish
+            )
+            for name, axis in axes.items()
         }
         self._stage_pvs = StagePVs(prefix, controller=self._controller)
         groups: list[PVGroup] = [*self._records.values(), *self._axis_pvs.values(), self._stage_pvs]
@@ -78,7 +81,6 @@ class Ioc:
         try:
             for name, reading in readings.items():
                 await self._records[name].publish(reading)
-                await self._axis_pvs[name].publish(reading)
                 await self._stage_pvs.publish(round(reading.state.time, 3))
         finally:
             self._is_publishing = False

@@ -25,12 +25,16 @@ class Record:
     def __getitem__(self, field):
         name = field if field.startswith(":") else f".{field}"
         return epics.caget(
-            self.name + name, use_monitor=False, timeout=5, as_string=field in (":Message", ":Fault", ":Switches")
+            self.name + name,
+            use_monitor=False,
+            timeout=20,
+            connection_timeout=20,
+            as_string=field in (":Message", ":Fault", ":Switches"),
         )
 
     def put(self, field, value, wait=True):
         name = field if field.startswith(":") else f".{field}"
-        assert epics.caput(self.name + name, value, wait=wait, timeout=40) == 1, (field, value)
+        assert epics.caput(self.name + name, value, wait=wait, timeout=40, connection_timeout=20) == 1, (field, value)
 
     def wait(self, field, value, seconds=10):
         end = time.monotonic() + seconds
