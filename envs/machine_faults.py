@@ -108,7 +108,9 @@ class FaultyAxis:
         )
 
     def apply(self, stage: Stage, name: str, bounce: float = 0.0) -> None:
-        """Make one fault on the axis and clear all others. Call this after the context was applied.
+        """Make one fault on the axis and clear all others.
+
+        Call this after the hidden machine has been applied, which sets the same values of the axis.
 
         Args:
             stage: Stage to change.

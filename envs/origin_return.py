@@ -318,7 +318,7 @@ def _compute_spread(ends: np.ndarray) -> np.ndarray:
 
 
 class OriginReturnEnv(StageEnv):
-    """Gymnasium environment stage/OriginReturn-v0."""
+    """Gymnasium environment stage/OriginReturn-v0: find the origin from an unknown position, one return a step."""
 
     task = OriginReturn
 

@@ -68,7 +68,10 @@ class CycleDescriber(Protocol):
 
 
 class Decoder:
-    """Base class of decoders, which convert journal entries to commands and whole register values, in several calls if needed."""
+    """Base class of decoders, which convert journal entries to commands and whole register values.
+
+    The entries may come in pieces, one call of `decode` each.
+    """
 
     def decode(self, entries: Iterable[Entry]) -> list[Statement]:
         """Decode further entries.

@@ -70,7 +70,11 @@ class ErratumResult:
 
     @property
     def as_claimed(self) -> bool:
-        """True if the axis runs away with 26h alone (unless `lacks_erratum`), and stops on the target with the work-around."""
+        """True if the behavior is that of the erratum.
+
+        The axis runs away after a decelerating stop by command 26h alone, unless `lacks_erratum`, and stops on the target with the
+        work-around.
+        """
         bare, guarded = self.figures
         good = [
             f["n-DRV 2 s later"] == 0 and f["pulses past the target"] == 0 == f["lost steps"] for f in (bare, guarded)

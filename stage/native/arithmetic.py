@@ -26,5 +26,5 @@ def least(a: Any, b: Any) -> Any:
 
 @hot
 def greatest(a: Any, b: Any) -> Any:
-    """Return the greater of two values, see `least`."""
+    """Return the greater of two values. Like `least`, it compiles faster than numba's own function."""
     return b if b > a else a

@@ -81,14 +81,14 @@ class ActionStopped(StageError):
 
 @dataclass(frozen=True)
 class StageView:
-    """Values of the stage after a slice.
+    """Values of the stage after the stage thread has let a short time pass.
 
     Attributes:
         number: Number of views so far.
         time: Simulated time, s.
         achieved_speed: Simulated seconds in a real second, measured recently.
         action: Name of the action under way, or "".
-        trouble: Reason for which time stands still without a pause, or "".
+        trouble: Reason for which time has stopped although nobody has paused it, or "".
         qpos: Positions of the joints, as in `MjData.qpos`.
     """
 

@@ -114,7 +114,7 @@ class AvrLines:
                 avr.register_callback(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
     def _make_driven_rows(self, places: Sequence[PlacedLine]) -> np.ndarray:
-        """Return the DRIVEN_LINE records of a port, those of a chip one after the other."""
+        """Return the records (DRIVEN_LINE) of the lines that the pins of a port drive, grouped by chip."""
         rows = []
         for _, bit, line in places:
             chip, mask = self._find_chip(line)

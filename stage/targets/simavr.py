@@ -79,7 +79,7 @@ class AvrProgram:
         path: The file.
         mcu: Name of the AVR.
         pins: Pins of its bus; None: it has no bus.
-        lines: Lines of axes at its pins.
+        lines: STEP/DIR and switch lines of axes that are connected to its pins.
         hz: Clock, Hz; None: that of the program's .mmcu section, or 16 MHz.
         gdb: TCP port of a GDB server, or None.
     """

@@ -23,7 +23,7 @@ DISCONNECTED = (BrokenPipeError, ConnectionError, anyio.ClosedResourceError, any
 
 
 def serve(factory: ToolboxFactory) -> None:
-    """Serve one client until it closes standard input or standard output, or ends."""
+    """Serve one MCP client over standard input and output, until it closes one of them or exits."""
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # desktop clients show standard error to their users
     try:
         anyio.run(_serve_client, factory)

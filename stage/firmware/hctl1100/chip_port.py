@@ -50,7 +50,7 @@ MAX_TIMER_READS = 8  # at the timer, one after the other; two or three are enoug
 
 
 class ChipPort:
-    """Bus port of one axis' chip. It stores T, the only value that the chip cannot read back.
+    """Bus port of one axis' chip. It keeps the sample timer (T, R0F), the only register that cannot be read back.
 
     Raises:
         ArgumentError: The axis' chip is no HCTL-1100.

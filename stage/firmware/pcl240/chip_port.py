@@ -207,7 +207,7 @@ class ChipPort:
         self._chip.write(0, value)
 
     def write_control_mode(self, bits: int) -> None:
-        """Write the control mode; on MK and MS together with the bit that makes the position counter R10 count."""
+        """Write the control mode; on PCL-240MK and MS together with the bit that makes the position counter R10 count."""
         self.write_command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:

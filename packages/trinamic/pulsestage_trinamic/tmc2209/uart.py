@@ -75,7 +75,7 @@ def find_next_event(c):
 
 @hot
 def process_event(c):
-    """Process the byte that ends at this clock."""
+    """Process the byte that the UART has received, or send the next byte of a reply, at this clock."""
     if c.clock >= c.arrives:
         byte = c.to_chip[c.delivered % state.QUEUE]
         c.delivered += 1

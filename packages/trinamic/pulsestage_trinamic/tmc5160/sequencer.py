@@ -65,7 +65,7 @@ def get_table_current(mscnt):
 
 @hot
 def _get_table_entry(entry):
-    """Return an entry, 0 to 511, of the default table: its first half wave."""
+    """Return entry 0 to 511 of the default microstep table: a half wave of the sine."""
     return SINE_TABLE[511 - entry if entry > 255 else entry]
 
 
