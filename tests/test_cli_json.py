@@ -30,7 +30,7 @@ CHECKS = {
 ELSEWHERE = {"run", "replay", "export", "tune"}
 """Commands of which tests below, of board/ and of tune/ read the JSON."""
 LONG = {"demo": ["demo"], "erratum": ["erratum"], "pullout": ["pullout"]}
-TEXT_ALONE = {"serve", "mcp", "panel", "completion"}
+TEXT_ALONE = {"serve", "mcp", "panel", "ioc", "completion"}
 """Commands that serve, or print what a shell is to have."""
 
 

@@ -68,7 +68,6 @@ REFUSALS = {
     "move x 5 --syni y=": ["--syni 'y='", "FOLLOWER=LEADER"],
     "move x 5 --syni y=x,y=z": ["axis y already has x"],
     "move x 5 --multichip x,": ["--multichip 'x,'", "x,z"],
-    "tune xy --payload 1 --distance 10": ["--distance 10", "did you mean 10mm?"],
     "tune xy --payload 1 --distance 10mm --spare lots": ["--spare lots", "30%", "0.6"],
     "tune xy --payload 1 --distance 10mm --settle 0um 50ms": ["--settle", "greater than 0", "50um"],
     "tune xy --payload 1 --distance 10mm --overshoot 5kg": ["--overshoot", "5kg", "50um"],

@@ -96,9 +96,9 @@ def test_the_page_for_the_package_index_has_absolute_links_only():
     assert len(links) > 40
     assert [link for link in links if not link.startswith("https://")] == []
     raw = PROJECT["urls"]["Source"].replace("github.com", "raw.githubusercontent.com")
-    assert f"({raw}/v1.2.3/docs/pictures/dashboard.png)" in page
+    assert f"({raw}/v1.2.3/docs/pictures/machine.png)" in page
     assert f"({PROJECT['urls']['Source']}/blob/v1.2.3/docs/install.md)" in page
-    assert "](docs/pictures/dashboard.png)" in readme
+    assert "](docs/pictures/machine.png)" in readme
 
 
 def test_code_and_links_that_lead_elsewhere_stay_as_they_are():

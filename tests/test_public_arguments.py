@@ -33,6 +33,7 @@ MODULES = {
 }
 NOT_CALLED_BY_USERS = {
     "stage.firmware.Axis": "a protocol",
+    "stage.firmware.AxisAction": "begin_move() and others make it",
     "stage.recording.Recording": "Stage.record() makes it",
     "stage.recording.SavedRecording": "stage.recording.read() makes it",
     "Stage.note_fault": "faults call it",

@@ -85,6 +85,7 @@ def move(
         return get_driver(axis).move(count, speeds, timeout)
 
 
+@explain_arguments
 @exclusive
 def begin_move(axis: Axis, distance: float | None = None, **options: Any) -> AxisAction:
     """Begin a move, and do not wait for its end.
@@ -184,6 +185,7 @@ def home(
     return driver.home(direction, wanted, index, timeout)
 
 
+@explain_arguments
 @exclusive
 def begin_home(axis: Axis, direction: int = -1, **options: Any) -> AxisAction:
     """Begin a return to the mechanical origin, and do not wait for its end.
@@ -234,6 +236,7 @@ def jog(
     return _jog(axis, speed, start_speed, accel, lambda driver: axis.wait(seconds))
 
 
+@explain_arguments
 @exclusive
 def begin_jog(
     axis: Axis, speed: float | None = None, *, start_speed: float | None = None, accel: float = DEFAULT_RAMP_S
@@ -287,6 +290,7 @@ def stop(axis: Axis, at_once: bool = False) -> None:
     get_driver(axis).halt(at_once)
 
 
+@explain_arguments
 @exclusive
 def begin_stop(axis: Axis, at_once: bool = False) -> AxisAction:
     """Begin to stop the axis, with a ramp or at once, and do not wait until it is at rest. An action of the axis is cancelled.

@@ -102,7 +102,11 @@ class ProcedureReports:
     def __init__(self, session: Session):
         self._session, self._time = session, 0.0
         self._outcomes: dict[str, ProcedureOutcome] = {}
-        session.call_after_slices(self._mark_undone_outcomes)
+        self._end_observing = session.call_after_slices(self._mark_undone_outcomes)
+
+    def close(self) -> None:
+        """Stop observing the stage."""
+        self._end_observing()
 
     def _mark_undone_outcomes(self, stage: Stage) -> None:
         before, self._time = self._time, stage.time

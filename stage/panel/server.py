@@ -215,6 +215,7 @@ class Panel:
         self.observer.close()
         self.sampler.close()
         self.fault_controls.close()
+        self.reports.close()
         if self._owns_session:
             self.session.close()
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from stage.support.extras import format_install_command
 from stage.testing.marker_arguments import read_setting
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def ioc(request: pytest.FixtureRequest) -> Iterator[IocProcess]:
     @pytest.mark.ioc(...) of the module says which stage. Clients of this process find this IOC and no other one. Without
     caproto, the tests of the module are skipped.
     """
-    pytest.importorskip("caproto", reason="needs the extra epics: pip install 'pulsestage[epics]'")
+    pytest.importorskip("caproto", reason=f"needs the extra epics: {format_install_command('epics')}")
     with _report_plainly():
         from stage.testing import marker_arguments
         from stage.testing.ioc_process import IocProcess

@@ -456,7 +456,7 @@ def test_invalid_arguments_of_procedures_are_refused_before_the_first_bus_cycle(
     for how, message in [
         ({"distance": 1e-3, "pulses": 3}, "give one of the two"),
         ({}, "give one of the two"),
-        ({"distance": math.nan}, "metres"),
+        ({"distance": math.nan}, "meters"),
         ({"pulses": 1.5}, "whole number"),
         ({"pulses": math.inf}, "whole number"),
         ({"pulses": 100, "speed": math.inf}, "speed=inf"),

@@ -184,6 +184,12 @@ def needs_a_browser():
         pytest.skip("needs Chromium and its driver (Debian: chromium-driver)")
 
 
+@pytest.fixture(scope="session")
+def browser_programs():
+    """Chromium and its driver; tests are skipped where there is none."""
+    needs_a_browser()
+
+
 @pytest.fixture(scope="module")
 def address():
     """Address of a panel of xy that the command line serves."""

@@ -16,11 +16,8 @@ return [groups.map((group) => group.position.toArray()), scene.renderer.getPixel
 
 
 @pytest.fixture(scope="module")
-def paused_panel():
+def paused_panel(browser_programs):
     """Panel of xy whose time stands still, with both carriages away from the middle."""
-    from conftest import needs_a_browser
-
-    needs_a_browser()
     from stage.panel.server import Panel
 
     with Session(Stage("xy"), paused=True) as session, Panel(session) as panel:
