@@ -81,6 +81,7 @@ class ProcedureOutcome(NamedTuple):
         picture: The operation pattern as SVG, or "".
         time: Simulated time of the outcome, s.
         undone: Reason for which the stage no longer has this outcome in its past, for people; "" if it has.
+        was_stopped: Whether a user has stopped the procedure.
     """
 
     text: str = ""
@@ -88,6 +89,7 @@ class ProcedureOutcome(NamedTuple):
     picture: str = ""
     time: float = 0.0
     undone: str = ""
+    was_stopped: bool = False
 
 
 NO_OUTCOME = ProcedureOutcome()
@@ -96,11 +98,12 @@ NO_OUTCOME = ProcedureOutcome()
 class ProcedureReports:
     """Last outcome of each form of a panel. All browsers show them, also after a reload of the page.
 
-    After a power-up, or when somebody goes back in time, the outcomes of what has not happened any more are marked.
+    After a power-up, or when somebody goes back in time, the outcomes of what has not happened any more are marked, and
+    those of stopped procedures are removed.
     """
 
     def __init__(self, session: Session):
-        self._session, self._time = session, 0.0
+        self._session, self._time, self._rewinds = session, 0.0, 0
         self._outcomes: dict[str, ProcedureOutcome] = {}
         self._end_observing = session.call_after_slices(self._mark_undone_outcomes)
 
@@ -113,18 +116,23 @@ class ProcedureReports:
         if stage.time >= before:
             return
         undone = f"from before time went back to {stage.time:.3f} s" if stage.time else "from before the power-up"
+        self._rewinds += 1
         for form, outcome in list(self._outcomes.items()):
-            if outcome.time > stage.time and outcome.text:
+            if outcome.was_stopped:
+                self._outcomes[form] = NO_OUTCOME
+            elif outcome.time > stage.time and outcome.text:
                 self._outcomes[form] = outcome._replace(undone=undone)
 
     def find_outcome(self, form: str) -> ProcedureOutcome:
         """Return the last outcome of a form, or the outcome so far of the procedure that is under way."""
         return self._outcomes.get(form, NO_OUTCOME)
 
-    def set_outcome(self, form: str, text: str, has_failed: bool = False) -> ProcedureOutcome:
+    def set_outcome(
+        self, form: str, text: str, has_failed: bool = False, was_stopped: bool = False
+    ) -> ProcedureOutcome:
         """Store the last outcome of a form, and return it."""
         time = self._session.view.time if text else 0.0
-        outcome = self._outcomes[form] = ProcedureOutcome(text, has_failed, time=time)
+        outcome = self._outcomes[form] = ProcedureOutcome(text, has_failed, time=time, was_stopped=was_stopped)
         return outcome
 
     async def perform(self, form: str, title: str, action: Callable[[Any], Any]) -> Any:
@@ -141,12 +149,13 @@ class ProcedureReports:
         Raises:
             StageError: The action could not begin; the form then has no outcome.
         """
-        begin = self.set_outcome(form, f"{title} ...")
+        self.set_outcome(form, f"{title} ...")
+        rewinds = self._rewinds
         try:
             report = await asyncio.wrap_future(self._session.act(title, action))
         except ActionStopped:
-            now = self._session.view.time
-            self.set_outcome(form, f"{title}: stopped." if now >= begin.time else "")
+            is_undone = self._rewinds != rewinds
+            self.set_outcome(form, "" if is_undone else f"{title}: stopped.", was_stopped=not is_undone)
         except RunTimeout as error:
             self.set_outcome(form, f"{error}\n{getattr(error, 'report', '')}", has_failed=True)
         except BaseException:
