@@ -97,7 +97,7 @@ class BusHost(MachineTask[Any]):
 
     @property
     def selected_axis_state(self) -> np.ndarray:
-        """What the host remembers of the selected axis of each stage, AXIS records, (n,)."""
+        """AXIS records of the selected axis of each stage, (n,): what the host remembers of it."""
         return self.axis_states[np.arange(self.n), self.episodes["selected"]]
 
     def make_programs(self) -> np.ndarray:

@@ -35,12 +35,12 @@ class AxisAction:
 
     @property
     def is_done(self) -> bool:
-        """Whether the action has ended: complete, with an error, or cancelled."""
+        """True if the action has ended: complete, with an error, or cancelled."""
         return self._thread.is_done
 
     @property
     def was_cancelled(self) -> bool:
-        """Whether `cancel`, a stop or a loaded state has ended the action before its own end."""
+        """True if `cancel`, a stop or a loaded state has ended the action before its own end."""
         return self._thread.was_cancelled
 
     @property

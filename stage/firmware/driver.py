@@ -350,7 +350,7 @@ class Driver(ABC):
 
     @property
     def is_moving(self) -> bool:
-        """Whether the chip changes the commanded position now. No bus cycle is made, and it means the same for every family.
+        """True while the chip changes the commanded position. No bus cycle is made, and it means the same for every family.
 
         A servo moves while its command position does, also in a velocity mode, which is no drive for `Chip.busy`.
         """
@@ -406,7 +406,7 @@ class Driver(ABC):
 
     @property
     def can_set_position_counter(self) -> bool:
-        """Whether the chip has a position counter that `write_position_counter` can set."""
+        """True if the chip has a position counter that `write_position_counter` can set."""
         return any(r.name == self.position_counter and "W" in r.access for r in self.chip.MAP.registers)
 
     def _write_counter_register(self, value: int) -> None:

@@ -34,9 +34,7 @@ SAFETY_FACTOR = 1.5
 START_RATE_RATIO = 0.125  # start rate (FL) as a fraction of the pull-in rate
 MIN_RAMP_SWINGS = 4
 MIN_RAMP_S = 1e-3
-CONSTANT_RATE_RATIO = (
-    1.05  # drive rate of a move without ramps to its start rate: chips compute ramps from their difference
-)
+CONSTANT_RATE_RATIO = 1.05  # drive rate to start rate of a move without ramps: chips compute ramps from the difference
 MAX_ROTOR_SPEED_RAD_S = 1_256.637  # 12,000 rpm, above any supported motor
 
 

@@ -24,13 +24,15 @@ from stage.tune.task import MoveCase, Task
 
 METHODS = ("search", "formula")
 SAFETY_MULTIPLIERS = (1.0, 1.15, 1.3, 1.5, 2.0, 3.0)  # raise the safety factor until the formula keeps step
-RATE_RATIOS = (
-    0.7,
-    0.5,
-    0.35,
-    0.2,
-    0.1,
-)  # then slow the move down: gravity may leave no thrust for a larger factor
+RATE_RATIOS = (0.7, 0.5, 0.35, 0.2, 0.1)  # then slow the move down, where gravity leaves no thrust for a larger factor
+FORMULA_CHOICES = (
+    *(FormulaChoice(SAFETY_FACTOR * multiplier, 1.0) for multiplier in SAFETY_MULTIPLIERS),
+    *(FormulaChoice(SAFETY_FACTOR, ratio) for ratio in RATE_RATIOS),
+)
+"""Choices in the order in which they are tried, the fastest first."""
+TRIED_TEXT = (
+    f"even with a safety factor of {SAFETY_FACTOR * SAFETY_MULTIPLIERS[-1]:g}, or at {RATE_RATIOS[-1]:g} of the rates"
+)
 CANDIDATES_PER_ROUND = 8  # search results that are tested together with unseen moves
 MAX_CANDIDATE_ROUNDS = 3
 MAX_HARD_CASES = 6  # cases in which most of the failed trials failed: the others must pass them
@@ -115,16 +117,6 @@ def tune(
             task, planner, tuple(answers), selected, choice.safety_factor, by, len(ranked), interrupted, rejected, seed,
             runner.move_count, tuple(cases.proof),
         )  # fmt: skip
-
-
-FORMULA_CHOICES = (
-    *(FormulaChoice(SAFETY_FACTOR * multiplier, 1.0) for multiplier in SAFETY_MULTIPLIERS),
-    *(FormulaChoice(SAFETY_FACTOR, ratio) for ratio in RATE_RATIOS),
-)
-"""Choices in the order in which they are tried, the fastest first."""
-TRIED_TEXT = (
-    f"even with a safety factor of {SAFETY_FACTOR * SAFETY_MULTIPLIERS[-1]:g}, or at {RATE_RATIOS[-1]:g} of the rates"
-)
 
 
 class ProofCases(NamedTuple):

@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+from pulsestage_trinamic import common_power_stage
 from stage.native import hot, least
 
 STEPS_DOWN = (32, 8, 2, 1)
 """Measurements for one step down, by SEDN."""
+
+
+@hot
+def set_active(c, is_active, irun):
+    """Switch CoolStep on or off. Where it ends, the current of a moving motor returns to IRUN.
+
+    Args:
+        c: State of the chip.
+        is_active: Whether CoolStep works from now on.
+        irun: Current scale of IRUN.
+    """
+    if c.cooling and not is_active:
+        c.count = 0
+        if c.current == common_power_stage.RUNS:
+            c.cs = irun
+    c.cooling = 1 if is_active else 0
 
 
 @hot

@@ -152,12 +152,7 @@ def update_thresholds(c):
     )
     if not is_measuring(c):
         c.sg = c.stall = 0
-    cooling = 1 if is_cool_step_active(c) else 0
-    if c.cooling and not cooling:
-        c.count = 0
-        if c.current == common_power_stage.RUNS:
-            c.cs = common_power_stage.get_irun(c.registers[state.IHOLD_IRUN])
-    c.cooling = cooling
+    cool_step.set_active(c, is_cool_step_active(c), common_power_stage.get_irun(c.registers[state.IHOLD_IRUN]))
 
 
 # --- StallGuard4 ---

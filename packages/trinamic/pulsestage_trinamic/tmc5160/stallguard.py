@@ -37,12 +37,7 @@ def update_stallguard_and_coolstep(c):
     """Update thresholds, StallGuard and CoolStep after a change of speed, registers or faults, in which they start or stop."""
     c.speeds = speed_thresholds.find_passed_thresholds(c, c.q)
     clear_result_if_unmeasured(c)
-    cooling = 1 if is_cool_step_active(c) else 0
-    if c.cooling and not cooling:
-        c.count = 0
-        if c.current == common_power_stage.RUNS:
-            c.cs = common_power_stage.get_irun(c.reg[state.IHOLD_IRUN])
-    c.cooling = cooling
+    cool_step.set_active(c, is_cool_step_active(c), common_power_stage.get_irun(c.reg[state.IHOLD_IRUN]))
 
 
 @hot
