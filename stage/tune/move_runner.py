@@ -21,12 +21,12 @@ class MoveOutcomes(NamedTuple):
 
     Attributes:
         arrival_times: Time from the start command until arrival, s; NaN where the move did not arrive.
-        kept_step: True where all pulses were made and no step was lost (of a servo: where the move arrived).
+        in_step: True where all pulses were made and no step was lost (of a servo: where the move arrived).
         overshoots: Largest distance beyond the goal, m.
     """
 
     arrival_times: np.ndarray
-    kept_step: np.ndarray
+    in_step: np.ndarray
     overshoots: np.ndarray
 
     def is_good(self, task: Task, within_payload: np.ndarray) -> np.ndarray:
@@ -40,7 +40,7 @@ class MoveOutcomes(NamedTuple):
             Mask (plans, cases).
         """
         arrived = ~np.isnan(self.arrival_times) & (self.overshoots <= float(task.overshoot or 0.0))
-        return self.kept_step & (arrived | ~within_payload)
+        return self.in_step & (arrived | ~within_payload)
 
 
 class MoveRunner:

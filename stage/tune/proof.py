@@ -89,7 +89,7 @@ def prove_plans(
             int(good[k].sum()),
             outcomes.arrival_times[k][within_payload],
             float(outcomes.overshoots[k][within_payload].max()),
-            int((~outcomes.kept_step[k]).sum()),
+            int((~outcomes.in_step[k]).sum()),
             tuple(np.flatnonzero(~good[k]).tolist()),
         )
         for k in range(len(plans))
@@ -127,8 +127,8 @@ def measure_spare_payload(
             for kg, row in zip(spare_payloads, offsets, strict=True)
             for j, (offset, machine) in enumerate(zip(row, machines, strict=True))
         ]
-        kept_step = runner.run_moves([plan], cases, time_limit).kept_step
-        passed = kept_step.reshape(PAYLOAD_STEPS, ANGLES_PER_PAYLOAD).all(axis=1)
+        in_step = runner.run_moves([plan], cases, time_limit).in_step
+        passed = in_step.reshape(PAYLOAD_STEPS, ANGLES_PER_PAYLOAD).all(axis=1)
         if passed.all():
             return high, low == 0.0
         first = int(np.argmin(passed))

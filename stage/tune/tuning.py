@@ -262,9 +262,9 @@ def _find_formula_plan(runner: MoveRunner, planner: MovePlanner, cases: Any) -> 
             if outcomes.is_good(task, within_payload).all():
                 max_time = float(np.max(outcomes.arrival_times[0, within_payload]))
                 return choice, plan, compute_time_limit(max_time, task.hold)
-            if not outcomes.kept_step.all():
+            if not outcomes.in_step.all():
                 break
-    if not outcomes.kept_step.all():
+    if not outcomes.in_step.all():
         raise StageError(
             f"axis {task.axis} with up to {task.payload_with_margin:g} kg: the formula's registers lose steps, {TRIED_TEXT}. "
             f"{_describe_largest_payload(runner, planner, cases)}"
@@ -289,8 +289,8 @@ def _describe_largest_payload(runner: MoveRunner, planner: MovePlanner, cases: A
     payloads = np.linspace(0.0, task.payload_with_margin, 9)
     few_cases = cases[:: max(len(cases) // 4, 1)][:4]
     load_cases = [case._replace(payload=float(kg)) for kg in payloads for case in few_cases]
-    kept_step = runner.run_moves([plan], load_cases, _estimate_time_limit(task, plan)).kept_step
-    passed: np.ndarray = np.all(kept_step.reshape(len(payloads), -1), axis=1)
+    in_step = runner.run_moves([plan], load_cases, _estimate_time_limit(task, plan)).in_step
+    passed: np.ndarray = np.all(in_step.reshape(len(payloads), -1), axis=1)
     if not passed[0]:
         return "Nor do they keep step with nothing on it: another motor, supply or distance."
     return f"Up to {payloads[int(np.argmin(passed)) - 1]:.2g} kg in all they keep step: take less payload or spare."

@@ -136,8 +136,8 @@ class RecordingPlanner:
     def run_moves(self, plans, cases, limit):
         self.limits.append(limit)
         shape = len(plans), len(cases)
-        time, kept_step, overshoot = self.outcome_of(plans[0].registers["safety"], limit)
-        return MoveOutcomes(np.full(shape, time), np.full(shape, kept_step), np.full(shape, overshoot))
+        time, in_step, overshoot = self.outcome_of(plans[0].registers["safety"], limit)
+        return MoveOutcomes(np.full(shape, time), np.full(shape, in_step), np.full(shape, overshoot))
 
 
 @pytest.fixture(scope="module")

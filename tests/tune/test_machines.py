@@ -241,7 +241,7 @@ def test_a_move_tuned_without_core_loss_loses_steps_with_any_likely_core_loss():
         plans.compute_speeds(1.5)._replace(start=1710, drive=124_347, up=0.13, down=0.0483), {}, "linear"
     )
     spread = find_spreads(task.stage.axes["x"])["core loss"]
-    kept_step = {}
+    in_step = {}
     with MoveRunner(task, plans, fleet_size=3) as runner:
         for loss in (0.0, spread.low, spread.high):
             variant = replace(
@@ -249,12 +249,12 @@ def test_a_move_tuned_without_core_loss_loses_steps_with_any_likely_core_loss():
                 core_loss_resistance=find_motor("17HS4401").torque_constant ** 2 / loss if loss else None,
             )
             machine = task.machine._replace(drive=replace(task.machine.drive, motor=variant))
-            kept_step[loss] = runner.run_moves(
+            in_step[loss] = runner.run_moves(
                 [plan], [MoveCase(PAYLOAD, 5.0 * k, direction, machine) for k, direction in enumerate((1, -1))], 0.6
-            ).kept_step
-    assert kept_step[0.0].all()
-    assert not kept_step[spread.low].all()
-    assert not kept_step[spread.high].any()
+            ).in_step
+    assert in_step[0.0].all()
+    assert not in_step[spread.low].all()
+    assert not in_step[spread.high].any()
 
 
 # --- answers ---
@@ -278,4 +278,4 @@ def test_the_formula_slows_down_until_every_machine_keeps_step(monkeypatch):
     plans = create_planner(task)
     with MoveRunner(task, plans) as runner:
         bold = runner.run_moves([plans.build_formula_plan(0.75)], result.cases, 0.6)
-    assert not bold.kept_step.all()
+    assert not bold.in_step.all()

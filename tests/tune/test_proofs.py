@@ -61,7 +61,7 @@ def test_spare_payloads_are_tried_up_to_four_margins_or_two_fifths_of_the_moving
 
     def run_moves(plans, cases, limit):
         cases_run.extend(cases)
-        return SimpleNamespace(kept_step=np.ones((1, len(cases)), bool))
+        return SimpleNamespace(in_step=np.ones((1, len(cases)), bool))
 
     assert proof.measure_spare_payload(
         make_runner(run_moves=run_moves, **task_settings), None, 1.0, np.random.default_rng(0)
@@ -81,7 +81,7 @@ def test_the_spare_payload_is_below_every_payload_that_lost_a_step():
 
     def run_moves(plans, cases, limit):
         maximum = next(rounds)
-        return SimpleNamespace(kept_step=np.array([[c.payload - PAYLOAD < maximum - 1e-9 for c in cases]]))
+        return SimpleNamespace(in_step=np.array([[c.payload - PAYLOAD < maximum - 1e-9 for c in cases]]))
 
     assert proof.measure_spare_payload(make_runner(run_moves=run_moves), None, 1.0, np.random.default_rng(0)) == (
         pytest.approx(0.9),
@@ -94,9 +94,9 @@ def test_a_payload_must_keep_step_at_every_rotor_angle(angle):
     """More than 2.0 + 0.9 kg loses steps at only one of the angles"""
 
     def run_moves(plans, cases, limit):
-        kept_step = np.ones((proof.PAYLOAD_STEPS, proof.ANGLES_PER_PAYLOAD), bool)
-        kept_step[:, angle] = [c.payload - PAYLOAD <= 0.9 for c in cases[:: proof.ANGLES_PER_PAYLOAD]]
-        return SimpleNamespace(kept_step=kept_step.reshape(1, -1))
+        in_step = np.ones((proof.PAYLOAD_STEPS, proof.ANGLES_PER_PAYLOAD), bool)
+        in_step[:, angle] = [c.payload - PAYLOAD <= 0.9 for c in cases[:: proof.ANGLES_PER_PAYLOAD]]
+        return SimpleNamespace(in_step=in_step.reshape(1, -1))
 
     carried, is_larger_possible = proof.measure_spare_payload(
         make_runner(run_moves=run_moves), None, 1.0, np.random.default_rng(0)

@@ -186,7 +186,7 @@ def test_a_move_arrives_at_the_first_sample_of_those_that_stay_within_the_tolera
     samples = np.round(outcome.arrival_times[0] / SAMPLE_INTERVAL_S, 6).tolist()
     assert samples[:4] == [15, 15, 0, 14]
     assert np.isnan(outcome.arrival_times[0, 4:]).all(), "the hold takes 40 samples"
-    assert outcome.kept_step.all()
+    assert outcome.in_step.all()
 
 
 def test_a_move_that_stays_before_its_goal_has_no_overshoot(runner, monkeypatch):
@@ -196,7 +196,7 @@ def test_a_move_that_stays_before_its_goal_has_no_overshoot(runner, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("settings", "kept_step", "has_arrived"),
+    ("settings", "in_step", "has_arrived"),
     [
         ({}, True, True),
         ({"pulses": PULSES - 1}, False, True),
@@ -207,10 +207,10 @@ def test_a_move_that_stays_before_its_goal_has_no_overshoot(runner, monkeypatch)
     ],
 )
 def test_a_move_keeps_step_if_it_makes_all_pulses_in_its_direction_and_loses_none(
-    runner, monkeypatch, settings, kept_step, has_arrived
+    runner, monkeypatch, settings, in_step, has_arrived
 ):
     before = runner.move_count
     outcome = run_sampled_moves(runner, monkeypatch, [AT_REST] * 3, **settings)
-    assert outcome.kept_step.tolist() == [[kept_step] * 3]
+    assert outcome.in_step.tolist() == [[in_step] * 3]
     assert (~np.isnan(outcome.arrival_times)).tolist() == [[has_arrived] * 3]
     assert runner.move_count == before + 3

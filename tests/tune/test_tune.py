@@ -146,7 +146,7 @@ def test_a_move_that_loses_steps_or_does_not_arrive_is_not_good(task, runner):
     formula = plans.build_formula_plan()
     cases = [MoveCase(PAYLOAD, 0.0, 1), MoveCase(PAYLOAD, 7.0, -1)]
     outcome = runner.run_moves([too_fast, formula], cases, LIMIT)
-    assert outcome.kept_step.tolist() == [[False, False], [True, True]]
+    assert outcome.in_step.tolist() == [[False, False], [True, True]]
     requested = task.is_within_payload(cases)
     assert outcome.is_good(task, requested).tolist() == [[False, False], [True, True]]
     stopped_early = runner.run_moves([formula], cases, 0.05)
@@ -333,7 +333,7 @@ def test_the_spare_payload_is_the_last_one_below_the_first_that_loses_a_step():
     def measure_with_maximum(maximum):
         def run_moves(plans, cases, limit):
             observed.extend(cases)
-            return SimpleNamespace(kept_step=np.array([[case.payload - 2.0 <= maximum for case in cases]]))
+            return SimpleNamespace(in_step=np.array([[case.payload - 2.0 <= maximum for case in cases]]))
 
         return proof.measure_spare_payload(
             SimpleNamespace(task=task, run_moves=run_moves), None, LIMIT, np.random.default_rng(0)

@@ -78,14 +78,14 @@ def make_player(policy: str | Policy, task: str, seed: int) -> Player:
     if not isinstance(policy, str):
         if not callable(policy):
             raise ArgumentError(f"policy {policy!r}: a function (observation, info) -> action, or a name.")
-        return UserPolicy(policy, str(getattr(policy, "__name__", type(policy).__name__)))
+        return PolicyPlayer(policy, str(getattr(policy, "__name__", type(policy).__name__)))
     shipped = {**COMMON_PLAYERS, **TASK_PLAYERS.get(task, {})}
     if policy in shipped:
-        return UserPolicy(shipped[policy](seed), policy, shipped=True)
+        return PolicyPlayer(shipped[policy](seed), policy, shipped=True)
     if policy.endswith(".npz"):
-        return RecordedActions(policy)
+        return RecordedActionsPlayer(policy)
     if ":" in policy:
-        return UserPolicy(_import_policy(policy), policy)
+        return PolicyPlayer(_import_policy(policy), policy)
     message = unknown_name_error(f"player of {task}", policy, shipped)
     raise ArgumentError(f"{message} Or give module:function, or an .npz of actions.")
 
@@ -125,7 +125,7 @@ def _import_policy(name: str) -> Policy:
     return policy
 
 
-class UserPolicy:
+class PolicyPlayer:
     """Player that calls a policy, which a user or the benchmark provides, for each action."""
 
     def __init__(self, policy: Policy, name: str, shipped: bool = False):
@@ -147,10 +147,10 @@ class UserPolicy:
         pass
 
 
-class RecordedActions:
+class RecordedActionsPlayer:
     """Player that repeats the actions of a file, whatever it observes."""
 
-    cost: dict[str, float] = {}  # noqa: RUF012 (a Player's)
+    cost: dict[str, float] = {}  # noqa: RUF012 (replayed actions cost nothing)
 
     def __init__(self, path: str):
         self.name = path

@@ -70,8 +70,8 @@ class SpeedFactorSearch:
         self.attempts += 1
         return compute_scaled_action(self.latest)
 
-    def _update_bounds(self, kept_step: bool) -> None:
-        if kept_step:
+    def _update_bounds(self, in_step: bool) -> None:
+        if in_step:
             self.fastest_success = max(self.fastest_success or 0.0, self.latest)
         else:
             self.slowest_failure = min(self.slowest_failure, self.latest)

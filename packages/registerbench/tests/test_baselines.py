@@ -208,7 +208,7 @@ def test_test_moves_alternate_in_direction_and_otherwise_follow_the_environment(
     assert [d for d, *_ in both.drawn] == [d if k % 2 == 0 else -d for k, (d, *_) in enumerate(present.drawn)]
     assert [rest for _, *rest in both.drawn] == [rest for _, *rest in present.drawn]
     assert present.reward[::2] == both.reward[::2]
-    assert all(both.kept_step)
+    assert all(both.in_step)
     assert both.duration == pytest.approx(present.duration, rel=0.01)
 
 

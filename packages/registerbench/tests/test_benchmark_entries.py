@@ -383,11 +383,11 @@ def test_a_policy_class_is_instantiated_and_recorded_actions_follow_their_episod
     monkeypatch.syspath_prepend(tmp_path)
     entry = registerbench.play("mine_class:Policy", "brief", episodes=1)
     assert entry.actions[:, 1] == pytest.approx(0.3)
-    from registerbench.policies import RecordedActions
+    from registerbench.policies import RecordedActionsPlayer
 
     path = tmp_path / "moves.npz"
     np.savez(path, actions=np.arange(12).reshape(6, 2), steps=(1, 3, 2))
-    created = RecordedActions(str(path))
+    created = RecordedActionsPlayer(str(path))
     assert [e[:, 0].tolist() for e in created.episodes] == [[0], [2, 4, 6], [8, 10]]
     for _ in range(3):
         created.begin(None)
@@ -398,7 +398,7 @@ def test_a_policy_class_is_instantiated_and_recorded_actions_follow_their_episod
         ArgumentError,
         match=r"`actions` has the shape \(6,\); give the shape \(episodes, steps, ...\), or add an array `steps`",
     ):
-        RecordedActions(str(path))
+        RecordedActionsPlayer(str(path))
 
 
 def test_shipped_players_use_the_boldness_that_their_task_requires_by_default():

@@ -13,14 +13,14 @@ from support.examples import SEED, scaled
 
 import registerbench
 from registerbench.arena import make_suite, play, read_transcript, write_transcript
-from registerbench.policies import RecordedActions
+from registerbench.policies import RecordedActionsPlayer
 from stage import StageError
 
 READERS = {
     ".bench": registerbench.read_entry,
     ".zip": registerbench.read_entries,
     ".jsonl": read_transcript,
-    ".npz": lambda path: RecordedActions(str(path)),
+    ".npz": lambda path: RecordedActionsPlayer(str(path)),
 }
 """File extension -> the function that reads the format."""
 

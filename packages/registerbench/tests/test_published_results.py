@@ -74,10 +74,10 @@ def test_an_answer_is_reported_by_its_test_and_not_by_its_proof():
     assert created.compute_mean("reward") == pytest.approx(-410)
     assert created.reward_excess == pytest.approx(50)
     created.test_logs[published.NEW_MOVES] = moves(-0.4, -5.4)
-    created.test_logs[published.NEW_MOVES].kept_step[1] = False
+    created.test_logs[published.NEW_MOVES].in_step[1] = False
     assert created.count_lost(published.NEW_MOVES) == 1
     assert created.compute_mean("reward") == pytest.approx(-2900), "a lost step is paid for"
-    assert created.compute_mean("reward", kept_step_only=True) == pytest.approx(-400)
+    assert created.compute_mean("reward", in_step_only=True) == pytest.approx(-400)
 
 
 def test_spare_ends_at_the_first_payload_with_which_a_step_was_lost():
@@ -134,10 +134,10 @@ def test_each_published_answer_follows_from_its_proofs(all_):
     """The test selects independently: of the first HELD that pass, the highest mean reward."""
     answers = 0
     for r in all_.runs:
-        ranked = [k for k in np.argsort(-np.array(r.search_log.reward), kind="stable") if r.search_log.kept_step[k]]
+        ranked = [k for k in np.argsort(-np.array(r.search_log.reward), kind="stable") if r.search_log.in_step[k]]
         assert list(r.proof_logs) == ranked[: len(r.proof_logs)]
         holding = {
-            k: np.mean(log.reward) for k, log in r.proof_logs.items() if len(log) == REPEATS and all(log.kept_step)
+            k: np.mean(log.reward) for k, log in r.proof_logs.items() if len(log) == REPEATS and all(log.in_step)
         }
         assert len(holding) <= MAX_HOLDING
         assert r.answer == (max(holding, key=holding.get) if holding else None)

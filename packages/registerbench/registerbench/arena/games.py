@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from registerbench.arena.tool_actions import make_tool_actions
+from registerbench.arena.action_converters import make_action_converter
 from registerbench.benchmark_tasks import CARDS, OPEN_ROUND
 from registerbench.diagnosis import SETUPS, Case
 from registerbench.entry_creation import EpisodeSequence
@@ -86,23 +86,25 @@ class BenchmarkGame(Game):
     def __init__(self, sequence: EpisodeSequence):
         self._sequence, self.number = sequence, sequence.finished
         self.name, self.seed = _list_episodes(sequence)[self.number]
-        self._actions = make_tool_actions(sequence)
+        self._converter = make_action_converter(sequence)
         sequence.begin()
-        arguments = self._actions.describe_arguments()
+        arguments = self._converter.describe_arguments()
         self.calls = ToolSet(
             [
                 Tool("task", "What is to be done.", lambda: self.task, free=True),
-                Tool("observe", "What a host knows now, by name.", self._actions.name_observation, free=True),
+                Tool("observe", "What a host knows now, by name.", self._converter.name_observation, free=True),
                 Tool(
                     "formula",
                     "What the task's own rule would do now, as arguments of act.",
                     self._call_formula,
                     free=True,
                 ),
-                Tool("act", self._actions.text, self._call_act, arguments, moves=True),
+                Tool("act", self._converter.description, self._call_act, arguments, moves=True),
             ]
         )
-        self.task = TASK_TEXT.format(name=sequence.card.name, asked=sequence.card.asked, act=self._actions.text)
+        self.task = TASK_TEXT.format(
+            name=sequence.card.name, asked=sequence.card.asked, act=self._converter.description
+        )
 
     @property
     def over(self) -> bool:
@@ -111,13 +113,13 @@ class BenchmarkGame(Game):
     def _call_formula(self) -> dict[str, Any]:
         """Answer the tool `formula`: the arguments of `act` that the task's formula proposes."""
         self._require_running()
-        return self._actions.choose_formula_arguments()
+        return self._converter.choose_formula_arguments()
 
     def _call_act(self, **arguments: Any) -> dict[str, Any]:
         """Answer the tool `act`: make a step of the environment, and return the observation and the info."""
         self._require_running()
-        self._sequence.act(self._actions.make_action(**arguments))
-        return {"over": self.over, **self._actions.name_observation()}
+        self._sequence.act(self._converter.make_action(**arguments))
+        return {"over": self.over, **self._converter.name_observation()}
 
     def _require_running(self) -> None:
         """Raise an error if the episode is over."""
@@ -127,7 +129,7 @@ class BenchmarkGame(Game):
     def compute_scores(self) -> dict[str, float]:
         left_steps = 0
         while not self.over:  # the rest of an episode that its player left is played with actions that do nothing
-            self._sequence.act(self._actions.choose_idle_action())
+            self._sequence.act(self._converter.choose_idle_action())
             left_steps += 1
         return {
             "value": self._sequence.scores[self.number]["return"],

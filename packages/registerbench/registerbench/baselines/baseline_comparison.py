@@ -160,17 +160,17 @@ class GainOverFormula(NamedTuple):
     text: str
 
 
-def compute_gain(runs: list[MethodRun], base: MethodRun, name: str, kept_step: bool = False) -> GainOverFormula:
+def compute_gain(runs: list[MethodRun], base: MethodRun, name: str, in_step: bool = False) -> GainOverFormula:
     """Compute the interquartile mean of the gain over the runs that found an answer.
 
     Args:
         runs: Runs of one method and payload.
         base: Run of the formula.
         name: "reward" or "duration".
-        kept_step: Whether to leave out the moves that lost steps.
+        in_step: Whether to leave out the moves that lost steps.
     """
     sign = 1 if name == "reward" else -1
-    values = sign * np.array([r.compute_mean(name, kept_step) - base.compute_mean(name, kept_step) for r in runs])
+    values = sign * np.array([r.compute_mean(name, in_step) - base.compute_mean(name, in_step) for r in runs])
     known = values[~np.isnan(values)]
     if len(runs) < SEEDS:
         return GainOverFormula(None, False, f"{compute_iqm(known):+.1f}")
@@ -192,7 +192,7 @@ def compute_gains(
         m: (
             compute_gain(rs, base, "reward"),
             compute_gain(rs, base, "duration"),
-            compute_gain(rs, base, "reward", kept_step=True),
+            compute_gain(rs, base, "reward", in_step=True),
         )
         for m, rs in some.items()
         if any(r.answer is not None for r in rs)
@@ -265,7 +265,7 @@ def describe_reward_excess(runs: list[MethodRun]) -> str:
 def describe_price_of_losses(runs: list[MethodRun]) -> str:
     """Describe how much reward a lost step costs, from the new moves that lost steps."""
     logs = [r.test_logs[NEW_MOVES] for r in runs if r.test_logs]
-    lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.kept_step))]
+    lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.in_step))]
     if not lost:
         return "Here no new move lost a step."
     reward, back = float(np.mean([reward for reward, _ in lost])), sum(distance < 0 for _, distance in lost)
@@ -413,10 +413,10 @@ def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
         (run,) = select_runs(runs, payload, base)
         ax.axhline(run.compute_mean("reward"), color=base.color, ls=style, lw=1.6)
     for method in DRAWN:
-        own_runs = select_runs(runs, payload, method)
-        if not own_runs:
+        selected_runs = select_runs(runs, payload, method)
+        if not selected_runs:
             continue
-        curves = 1e3 * np.array([r.search_log.compute_curve() for r in own_runs])
+        curves = 1e3 * np.array([r.search_log.compute_curve() for r in selected_runs])
         known = np.isfinite(curves).all(axis=0)
         at = np.arange(1, curves.shape[1] + 1)[known]
         ax.plot(at, np.median(curves[:, known], axis=0), color=method.color, lw=2)

@@ -52,8 +52,8 @@ class OptunaPolicy:
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         if self.trial is not None:
             last = min(self.attempts, len(self.kept_indices)) - 1
-            kept_step = observation[self.kept_indices[last]] > 0
-            self.study.tell(self.trial, float(observation[self.duration[last]]) if kept_step else 1.0)
+            in_step = observation[self.kept_indices[last]] > 0
+            self.study.tell(self.trial, float(observation[self.duration[last]]) if in_step else 1.0)
         self.trial, self.attempts = self.study.ask(self.space), self.attempts + 1
         s, factors = compute_speeds(self.load, int(info["distance"])), self.trial.params
         ramps = factors["ramps"]

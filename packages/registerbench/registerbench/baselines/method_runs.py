@@ -181,19 +181,19 @@ class MethodRun:
     @property
     def kept_step_share(self) -> float:
         """Share of the moves of the search that kept step."""
-        return float(np.mean(self.search_log.kept_step))
+        return float(np.mean(self.search_log.in_step))
 
-    def compute_mean(self, name: str, kept_step_only: bool = False) -> float:
+    def compute_mean(self, name: str, in_step_only: bool = False) -> float:
         """Compute the mean of a column over the new moves of the answer's test.
 
         Args:
             name: "reward" (ms), "duration" (ms) or "vibration" (um).
-            kept_step_only: Whether to leave out the moves that lost steps.
+            in_step_only: Whether to leave out the moves that lost steps.
         """
         if not self.test_logs:
             return np.nan
         log = self.test_logs[NEW_MOVES]
-        values = np.array(getattr(log, name))[log.kept_step if kept_step_only else slice(None)]
+        values = np.array(getattr(log, name))[log.in_step if in_step_only else slice(None)]
         return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
 
     def count_lost(self, context: str) -> int:
@@ -202,7 +202,7 @@ class MethodRun:
         Args:
             context: Name of the test context.
         """
-        return self.test_logs[context].kept_step.count(False)
+        return self.test_logs[context].in_step.count(False)
 
     @property
     def reward_excess(self) -> float:
@@ -305,7 +305,7 @@ def make_table(run: MethodRun, part: str, context: str, number: int | None, log:
         "payload": [run.payload] * count, "method": [run.method] * count, "part": [part] * count, "context": [context] * count,
         "seed": [run.seed] * count, "of": order if number is None else [number] * count, "number": order, "distance": distance,
         "kg": kg, "angle": angle, **dict(zip(REGISTERS, zip(*log.registers, strict=True), strict=True)), "reward": log.reward,
-        "duration_s": log.duration, "vibration_um": [1e6 * v for v in log.vibration], "lost_steps": log.lost, "kept": log.kept_step,
+        "duration_s": log.duration, "vibration_um": [1e6 * v for v in log.vibration], "lost_steps": log.lost, "kept": log.in_step,
     }  # fmt: skip
     arrays = [pyarrow.array(columns[f.name], pyarrow.string() if f.type == WORDS else f.type) for f in SCHEMA]
     return pyarrow.table([a.cast(f.type) for a, f in zip(arrays, SCHEMA, strict=True)], schema=SCHEMA)

@@ -66,7 +66,7 @@ class MoveLog:
         duration: Seconds.
         lost: Full steps lost.
         vibration: Peak-to-peak vibration after the stop, m.
-        kept_step: Whether the move lost no step and made all its pulses.
+        in_step: Whether the move lost no step and made all its pulses.
         registers: Values of the tuned registers.
         drawn: Randomly drawn distance in pulses, payload in kg, and angle of the rotor in electrical turns.
     """
@@ -75,7 +75,7 @@ class MoveLog:
     duration: list[float] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
     vibration: list[float] = field(default_factory=list)
-    kept_step: list[bool] = field(default_factory=list)
+    in_step: list[bool] = field(default_factory=list)
     registers: list[list[int]] = field(default_factory=list)
     drawn: list[tuple[int, float, float]] = field(default_factory=list)
 
@@ -90,11 +90,11 @@ class MoveLog:
     @property
     def ranking(self) -> list[int]:
         """Indices of the moves that kept step, the highest reward first."""
-        return sorted(np.flatnonzero(self.kept_step).tolist(), key=lambda k: -self.reward[k])
+        return sorted(np.flatnonzero(self.in_step).tolist(), key=lambda k: -self.reward[k])
 
     def compute_curve(self) -> np.ndarray:
         """Return the highest reward of a move that kept step, after each move; -inf before the first."""
-        return np.maximum.accumulate(np.where(self.kept_step, self.reward, -np.inf))
+        return np.maximum.accumulate(np.where(self.in_step, self.reward, -np.inf))
 
 
 class MoveTuning:
@@ -212,8 +212,8 @@ class MoveTuning:
             n: Number of moves that count.
         """
         parts = info["reward_parts"]
-        kept_step = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
-        columns = rewards, info["duration"], info["lost_steps"], info["vibration"], kept_step, info["registers"]
+        in_step = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
+        columns = rewards, info["duration"], info["lost_steps"], info["vibration"], in_step, info["registers"]
         drawn = zip(*(info[name][:n].tolist() for name in ("distance", "payload", "angle")), strict=True)
         for move in zip(*(column[:n].tolist() for column in columns), drawn, strict=True):
             self.log.append_move(*move)
@@ -263,17 +263,17 @@ def prove_rows(
         for row in rows:
             moves.restart()
             action = moves.registers.to_action(np.array(row))
-            while moves.moves_left and all(moves.log.kept_step):
+            while moves.moves_left and all(moves.log.in_step):
                 moves.measure_rewards_of_actions(np.tile(action, (moves.lanes, 1)))
             proofs.append(moves.log)
-            if sum(all(log.kept_step) for log in proofs) == needed:
+            if sum(all(log.in_step) for log in proofs) == needed:
                 break
     return proofs
 
 
 def find_best_proof(proofs: Sequence[MoveLog]) -> int | None:
     """Return the index of the row that holds with the highest mean reward in its proof; None if none holds."""
-    holding = [k for k, log in enumerate(proofs) if all(log.kept_step)]
+    holding = [k for k, log in enumerate(proofs) if all(log.in_step)]
     return max(holding, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
 
 
@@ -330,11 +330,11 @@ def format_answer(
     proven = choose_answer(rows, payload, distance, chip=chip, model=model, margin=margin) if rows else None
     if proven is None:
         failed = f"none of the best {len(candidates)} keeps step in every repetition"
-        return f"{len(log)} moves, {np.mean(log.kept_step):.0%} kept step; {failed}"
+        return f"{len(log)} moves, {np.mean(log.in_step):.0%} kept step; {failed}"
     k, again = candidates[proven[0]], proven[1]
     registers = " ".join(f"{n}={v}" for n, v in zip(names, log.registers[k], strict=True))
     return (
-        f"{len(log)} moves, {np.mean(log.kept_step):.0%} kept step. "
+        f"{len(log)} moves, {np.mean(log.in_step):.0%} kept step. "
         f"Best that kept step in {len(again)} repetitions with up to {margin:g} kg more: number {k + 1}, "
         f"{np.mean(again.duration):.4f} s, {np.mean(again.vibration) * 1e6:.1f} um vibration; {registers}"
     )

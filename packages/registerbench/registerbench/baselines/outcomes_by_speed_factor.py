@@ -31,8 +31,8 @@ class OutcomesBySpeedFactor:
     """Outcomes of a move at each speed factor on each machine, arrays of shape (speed factor, machines).
 
     Attributes:
-        kept_step: Whether the move kept step.
-        encoder_shows_kept: Whether the encoder shows that the move kept step.
+        in_step: Whether the move kept step.
+        encoder_shows_in_step: Whether the encoder shows that the move kept step.
         worth: Value of the move if it holds in a proof, else 0.
         distance: Distance of each machine in the unit of the observation, (machines,).
         last_attempt_counts: Whether the last attempt is the answer, not the best one.
@@ -40,8 +40,8 @@ class OutcomesBySpeedFactor:
         damage: Cost of an attempt that loses steps.
     """
 
-    kept_step: np.ndarray
-    encoder_shows_kept: np.ndarray
+    in_step: np.ndarray
+    encoder_shows_in_step: np.ndarray
     worth: np.ndarray
     distance: np.ndarray
     last_attempt_counts: bool
@@ -51,7 +51,7 @@ class OutcomesBySpeedFactor:
     def select_first_machines(self, machines: int) -> OutcomesBySpeedFactor:
         """Return the outcomes of the first `machines` machines only."""
         share = machines / len(self.distance)
-        columns = (a[:, :machines] for a in (self.kept_step, self.encoder_shows_kept, self.worth))
+        columns = (a[:, :machines] for a in (self.in_step, self.encoder_shows_in_step, self.worth))
         return OutcomesBySpeedFactor(
             *columns, self.distance[:machines], self.last_attempt_counts, round(self.moves * share), self.damage
         )
@@ -76,7 +76,7 @@ class OutcomesBySpeedFactor:
         machine_indices = np.arange(len(self.distance))
         worth = self.worth[attempts, machine_indices]
         return (worth[-1] if self.last_attempt_counts else worth.max(axis=0)) - self.damage * (
-            ~self.kept_step[attempts, machine_indices]
+            ~self.in_step[attempts, machine_indices]
         ).sum(axis=0)
 
     def play_policy(self, policy_class: type[SpeedFactorPolicy], numbers: Any) -> np.ndarray:
@@ -90,15 +90,15 @@ class OutcomesBySpeedFactor:
             Sums of rewards, (machines,).
         """
         n = len(self.distance)
-        policy, shown_kept, attempts, machine_indices = (
+        policy, shown_in_step, attempts, machine_indices = (
             policy_class(numbers, (), n),
             np.zeros(n, bool),
             [],
             np.arange(n),
         )
         for policy.attempts_made in range(ATTEMPTS):
-            attempts.append(self.find_nearest_rows(policy.choose_log_speed_factor(self.distance, shown_kept)))
-            shown_kept = self.encoder_shows_kept[attempts[-1], machine_indices]
+            attempts.append(self.find_nearest_rows(policy.choose_log_speed_factor(self.distance, shown_in_step)))
+            shown_in_step = self.encoder_shows_in_step[attempts[-1], machine_indices]
         return self.sum_rewards(np.array(attempts))
 
 
@@ -130,10 +130,10 @@ def measure_outcomes_by_speed_factor(task: str, first_seed: int, machines: int) 
         rows += [copy.deepcopy(rows[-1])] * (len(SPEED_FACTORS) - len(rows))
         outcomes.append(np.array(rows, float).transpose(1, 0, 2))
     envs.close()
-    kept_step, shown_kept, worth, distance = np.concatenate(outcomes, axis=2)
+    in_step, shown_in_step, worth, distance = np.concatenate(outcomes, axis=2)
     config = FewShotTuning.Config(**CARDS[task].settings)
     return OutcomesBySpeedFactor(
-        kept_step > 0, shown_kept > 0, worth, distance[0], config.answer == "last", moves, config.damage_weight
+        in_step > 0, shown_in_step > 0, worth, distance[0], config.answer == "last", moves, config.damage_weight
     )
 
 

@@ -33,8 +33,8 @@ def _has_several_attempts(session: GameSession) -> bool:
 def _compute_cost(answer: Any) -> float:
     """Return the cost of an attempt: its seconds, or ten times the usual seconds if the encoder shows lost steps."""
     info, observation = answer.data["info"], answer.data["observation"]
-    shown_kept = [k for k, is_made in zip(observation["kept"], observation["tried"], strict=True) if is_made > 0][-1]
-    return float(info["duration"]) if shown_kept > 0 else 10.0 * float(info["usual"])
+    shown_in_step = [k for k, is_made in zip(observation["kept"], observation["tried"], strict=True) if is_made > 0][-1]
+    return float(info["duration"]) if shown_in_step > 0 else 10.0 * float(info["usual"])
 
 
 def _get_argument_limits(session: GameSession) -> dict[str, tuple[float, float]]:

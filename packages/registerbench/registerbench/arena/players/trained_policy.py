@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from registerbench.arena.action_converters import convert_action_to_rates
 from registerbench.arena.game_session import GameSession
 from registerbench.arena.players.formula_and_random import play_formula
-from registerbench.arena.tool_actions import convert_action_to_rates
 
 FEATURES = {
     "one-shot": ("distance", "declared"),

@@ -44,14 +44,14 @@ def to_log_scale(value: float, ends: Sequence[float]) -> float:
     return float(np.clip(2 * (np.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1))
 
 
-class ToolActions:
-    """Conversion between the actions of a task and the arguments of the tool `act`.
+class ActionConverter:
+    """Base class of converters between the actions of a task and the arguments of the tool `act`.
 
     Attributes:
-        text: Description of `act`, as a phrase.
+        description: Description of the tool `act`, as a phrase.
     """
 
-    text: str
+    description: str
 
     def __init__(self, sequence: EpisodeSequence):
         self._sequence, self._env = sequence, sequence.env
@@ -84,10 +84,10 @@ class ToolActions:
         }
 
 
-class MoveActions(ToolActions):
-    """Rates and ramps of a move, for few-shot and one-shot."""
+class MoveActionConverter(ActionConverter):
+    """Converter of the rates and ramps of a move, for the tasks few-shot and one-shot."""
 
-    text = "a whole move with these rates (pps) and ramps (s)."
+    description = "a whole move with these rates (pps) and ramps (s)."
 
     def describe_arguments(self) -> dict[str, Any]:
         titles = {"start": "start rate, pps", "drive": "drive rate, pps", "up": "ramp up, s", "down": "ramp down, s"}
@@ -100,10 +100,13 @@ class MoveActions(ToolActions):
         return convert_action_to_rates(self._env.scripted_action().astype(float))
 
 
-class HomeActions(ToolActions):
-    """Origin return or report of a fault, for the task home."""
+class HomeActionConverter(ActionConverter):
+    """Converter of an origin return or the report of a fault, for the task home."""
 
-    text = "an origin return with these rates, or, with report=true, the report that the machine is broken, which ends the episode."
+    description = (
+        "an origin return with these rates, or, with report=true, the report that the machine is broken, "
+        "which ends the episode."
+    )
 
     def describe_arguments(self) -> dict[str, Any]:
         usual, (least, most) = drifting_home.USUAL, drifting_home.BACK_OFF
@@ -124,10 +127,13 @@ class HomeActions(ToolActions):
         return {**drifting_home.USUAL, "report": bool(self._env.scripted_action()[-1] > 0)}
 
 
-class LineActions(ToolActions):
-    """Rate, ramp and corrections of the registers, for line and line-3."""
+class LineActionConverter(ActionConverter):
+    """Converter of the rate, ramp and corrections of the registers, for the tasks line and line-3."""
 
-    text = "a straight line with this rate and ramp; corrections from -1 to 1 change the data sheet's registers, 0 leaves them."
+    description = (
+        "a straight line with this rate and ramp; corrections from -1 to 1 change the data sheet's registers, "
+        "0 leaves them."
+    )
 
     def describe_arguments(self) -> dict[str, Any]:
         rates, ramps = ([float(end) for end in ends] for ends in (self._env.config.rates, self._env.config.ramps))
@@ -156,10 +162,10 @@ class LineActions(ToolActions):
         return {"rate": from_log_scale(rate, c.rates), "ramp": from_log_scale(ramp, c.ramps)}
 
 
-class MacroActions(ToolActions):
-    """Choice of a macro, for the tasks whose name begins with bus."""
+class MacroActionConverter(ActionConverter):
+    """Converter of the choice of a macro, for the tasks whose name begins with bus."""
 
-    text = "a phrase of bus cycles on the axis that is selected; what has no effect now is told as masked."
+    description = "a phrase of bus cycles on the axis that is selected; what has no effect now is told as masked."
 
     def describe_arguments(self) -> dict[str, Any]:
         return {"macro": argument(choice(tuple(self._env.macros)), "the phrase")}
@@ -180,20 +186,20 @@ class MacroActions(ToolActions):
         return answer
 
 
-KINDS: dict[str, type[ToolActions]] = {
-    **dict.fromkeys(("few-shot", "few-shot-wide", "one-shot"), MoveActions),
-    "home": HomeActions,
-    **dict.fromkeys(("line", "line-3"), LineActions),
+CONVERTERS: dict[str, type[ActionConverter]] = {
+    **dict.fromkeys(("few-shot", "few-shot-wide", "one-shot"), MoveActionConverter),
+    "home": HomeActionConverter,
+    **dict.fromkeys(("line", "line-3"), LineActionConverter),
 }
-"""Kind of actions by the name of the card."""
+"""Class of converter by the name of the card."""
 
 
-def make_tool_actions(sequence: EpisodeSequence) -> ToolActions:
-    """Make the conversion for the task of a sequence of episodes. Raises ArgumentError for a task without one."""
-    if sequence.card.name in KINDS:
-        return KINDS[sequence.card.name](sequence)
+def make_action_converter(sequence: EpisodeSequence) -> ActionConverter:
+    """Make the converter for the task of a sequence of episodes. Raises ArgumentError for a task without one."""
+    if sequence.card.name in CONVERTERS:
+        return CONVERTERS[sequence.card.name](sequence)
     if isinstance(sequence.env.action_space, gymnasium.spaces.Discrete) and hasattr(sequence.env, "macros"):
-        return MacroActions(sequence)
+        return MacroActionConverter(sequence)
     raise ArgumentError(
         f"Task {sequence.card.name}: its actions have no form as a tool yet; give it one in {__name__}.KINDS."
     )
