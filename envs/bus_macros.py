@@ -272,7 +272,7 @@ class BusMacros(BusHost):
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, e, t = self.config, self.episodes, truth[:, self.index]
         self._update_memory(played, t)
-        good, used, now = self.converged, self.uses_axis, t["now"][:, 0]
+        good, used, now = self.undiverged_stages, self.uses_axis, t["now"][:, 0]
         lost = np.abs(t["lost_steps"]) * used
         inputs = t["inputs"]
         at_limit = np.stack([inputs[:, a] & (w[1] | w[2]) != 0 for a, w in enumerate(self.switch_masks)], axis=1) & used
@@ -324,7 +324,7 @@ class BusMacros(BusHost):
         Returns:
             The three parts by name, (n,) each.
         """
-        c, e, good = self.config, self.episodes, self.converged
+        c, e, good = self.config, self.episodes, self.undiverged_stages
         progress = c.progress_weight * (e["potential"] - e["start"])
         cost = -c.macro_weight * self.steps - c.time_weight * 1e-9 * (e["before"] - e["began"])
         damage = -c.damage_weight * ((self.axis_states["lost"].max(axis=1) > 0) + e["limits"])

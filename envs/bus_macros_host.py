@@ -116,7 +116,7 @@ class BusHost(MachineTask[Any]):
             played: Results of the macros.
             truth: True state of the axes, (n, m).
         """
-        done = self._valid & self.converged
+        done = self._valid & self.undiverged_stages
         for kind, mask in self.macro_table.is_kind.items():
             rows = np.flatnonzero(done & mask[self.actions])
             if not len(rows):

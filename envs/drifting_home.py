@@ -211,7 +211,7 @@ class DriftingHome(MachineTask[Config]):
         return self.rngs[stage_index]
 
     def prepare_next_step(self) -> None:
-        for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
+        for k in np.flatnonzero(self.undiverged_stages & ~self.results["terminated"]):
             self._begin_return(int(k), {})
 
     def _begin_return(self, stage_index: int, options: Mapping[str, Any]) -> None:
@@ -302,7 +302,7 @@ class DriftingHome(MachineTask[Config]):
             "duration": duration, "error": error, "home": home, "end_limit": end_limit, "late": timed_out,
             "lost_steps": lost, "start": self.place, "choices": rows,
         }  # fmt: skip
-        good = self.converged
+        good = self.undiverged_stages
         self._store_last_return(outcome, home, t, duration, good & returned)
         bad = missed | (np.abs(error) > c.tolerance)
         more = np.stack([duration, returned * self._compute_usual_times(), bad, lost, end_limit], axis=1)

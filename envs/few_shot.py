@@ -266,7 +266,7 @@ class FewShotTuning(MachineTask[Config]):
         return np.stack([action_of(*row[:4]) for row in self.formula])
 
     def prepare_next_step(self) -> None:
-        for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
+        for k in np.flatnonzero(self.undiverged_stages & ~self.results["terminated"]):
             self._place_for_next_attempt(int(k))
 
     def _place_for_next_attempt(self, stage_index: int) -> None:
@@ -363,7 +363,7 @@ class FewShotTuning(MachineTask[Config]):
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t, usual = self.config, truth[:, self.axis.index], self.usual_times_s
         outcome = self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M)
-        good = self.converged
+        good = self.undiverged_stages
         cost = outcome.duration + c.vibration_weight * outcome.vibration / TENTH_MM
         rows, indices = self.to_registers(self.actions), np.flatnonzero(good)
         before = self._compute_gain(self.steps - 1)

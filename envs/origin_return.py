@@ -208,7 +208,7 @@ class OriginReturn(MoveTask[Config]):
         self._draw_move(stage_index, options)
 
     def prepare_next_step(self) -> None:
-        for k in np.flatnonzero(self.converged):
+        for k in np.flatnonzero(self.undiverged_stages):
             self._draw_move(int(k), {})
 
     def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
@@ -290,7 +290,7 @@ class OriginReturn(MoveTask[Config]):
             outcome.searched / travel_pulses,
             outcome.overrun / MAX_ERROR_PULSES,
         ]
-        good = self.converged
+        good = self.undiverged_stages
         self.ends[good] = ends[good]
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
         self.set_results(parts, info, False, self.steps >= c.returns)

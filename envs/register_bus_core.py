@@ -14,7 +14,7 @@ from stage.chips import core_interface
 from stage.envs import observation_features
 from stage.envs.step_results import make_step_result_dtype
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
-from stage.sim import program, stage_handle
+from stage.sim import compiled_stage_access, program
 from stage.sim import program_player as player
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k waits for waits[k]
@@ -94,7 +94,7 @@ FRAME = record(
 """Addresses of the arrays of a task, and their lengths. first: the first axis of each chip; by_hand: stages that Python plays."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
-HANDLE, TRUTHS = stage_handle.HANDLE, player.TRUTH
+HANDLE, TRUTHS = compiled_stage_access.HANDLE, player.TRUTH
 
 
 @exported(None, FRAME, "i8", "i8")
@@ -216,7 +216,7 @@ def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words
 def _read_all_words(handle, first, words, now):
     """Store the present values at all addresses of the chips, with the time `now`, ns; `first`: first axis of each chip."""
     for i in range(len(words)):
-        chip = stage_handle.get_chip_table(handle)[stage_handle.get_axis_table(handle)[first[i]].chip]
+        chip = compiled_stage_access.get_chip_table(handle)[compiled_stage_access.get_axis_table(handle)[first[i]].chip]
         for j in range(words.shape[1]):
             words[i, j].seen, words[i, j].when = core_interface.peek(chip, j), now
 

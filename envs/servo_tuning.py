@@ -39,7 +39,8 @@ from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import Program
 
 MOTIONS = ("step", "trapezoid")
-LOOK = 1e-3  # time between two samples of the carriage's position, s
+SAMPLE_INTERVAL_S = 1e-3
+"""Time between two samples of the carriage's position."""
 SMALL, UNREST_SCALE = (
     10.0,
     100.0,
@@ -85,7 +86,7 @@ class Config(settings.Settings):
     acceleration: settings.Positive = 400_000.0
     deadband: settings.Positive = 3.0
     limit: settings.Seconds = 0.5
-    rest: Annotated[float, settings.NumberSetting(LOOK, high=settings.MAX_SECONDS)] = 0.1
+    rest: Annotated[float, settings.NumberSetting(SAMPLE_INTERVAL_S, high=settings.MAX_SECONDS)] = 0.1
     overshoot_weight: settings.Weight = 0.2
     unrest_weight: settings.Weight = 0.2
     limit_weight: settings.Weight = 1.0
@@ -131,7 +132,7 @@ class ServoTuning(TuningTask[Config]):
 
     def make_spaces_and_arrays(self) -> None:
         c = self.config
-        self.samples, self.tail = int(round(c.limit / LOOK)), int(round(c.rest / LOOK))
+        self.samples, self.tail = int(round(c.limit / SAMPLE_INTERVAL_S)), int(round(c.rest / SAMPLE_INTERVAL_S))
         super().make_spaces_and_arrays()
         self.goal = np.zeros(self.n)  # absolute position, counts of the encoder
 
@@ -146,7 +147,7 @@ class ServoTuning(TuningTask[Config]):
         self.driver.write_servo_move(p, self.registers.to_dict(row), distance, rates)
         self.first = len(p)  # index of the first pair of a wait and a sample
         for k in range(self.samples):
-            (p.measure if k >= self.samples - self.tail else p.wait)(LOOK)
+            (p.measure if k >= self.samples - self.tail else p.wait)(SAMPLE_INTERVAL_S)
             p.sample_position(self.axis.index)
         return p
 
@@ -164,7 +165,7 @@ class ServoTuning(TuningTask[Config]):
             outside[:, ::-1], axis=1
         )  # samples up to the last one outside the deadband
         finished = (np.abs(ends) <= c.deadband).all(axis=1) & ~outside[:, -1]
-        settled = np.where(finished, np.where(outside.any(axis=1), settled_at, 0), self.samples) * LOOK
+        settled = np.where(finished, np.where(outside.any(axis=1), settled_at, 0), self.samples) * SAMPLE_INTERVAL_S
         overshoot = np.maximum(-error.min(axis=1), 0.0)
         unrest = np.abs(ends[:, 0] - ends[:, 1])
         parts = {

@@ -154,7 +154,7 @@ class MoveTrial(StartPositions):
             p.sample_position(self.axis.index)
         self.driver.write_move(p, values, distance)
         self.stop = len(p)  # index of the operation that waits for the stop
-        self.driver.write_stop(p.until_stopped([self.axis.index], timeout_s, keep_step=end_on_lost_step))
+        self.driver.write_stop(p.until_stopped([self.axis.index], timeout_s, end_on_lost_step=end_on_lost_step))
         self.rest = len(p)
         p.measure(self.settle, self.point)
         return p.sample_position(self.axis.index) if self.encoder else p

@@ -265,7 +265,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         lost, finished = t["lost_steps"], self._find_finished_moves(t)
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
         off_line, vibration = self._measure_carriages(played.results), played.results[:, -1] * 1e-12
-        good = self.converged
+        good = self.undiverged_stages
         in_step = finished & (lost == 0).all(axis=1) & good
         cost = duration + c.path_weight * deviation
         cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / TENTH_MM
@@ -325,7 +325,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
             self.distances, np.full(self.n, np.clip(Speeds().drive, *c.rates)), np.full(self.n, Speeds().up)
         )
         of_axes = np.concatenate(
-            [(self.distances / c.distances[1])[:, :, None], self.line.compute_share_errors(usual) / (2 * c.reach)],
+            [(self.distances / c.distances[1])[:, :, None], self.line.compute_line_errors(usual) / (2 * c.reach)],
             axis=2,
         )
         observations = np.concatenate([of_axes.reshape(self.n, -1), self.machine_features], axis=1)

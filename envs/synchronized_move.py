@@ -61,7 +61,7 @@ from stage.firmware.line_programs import LineMoves, create_line_programs
 from stage.firmware.path_deviation import compute_path_deviation
 from stage.sim.engine_records import compute_clock_at
 from stage.sim.fleet import PlayedPrograms
-from stage.sim.program import LOOK, WAIT
+from stage.sim.program import SAMPLE_POSITION, WAIT
 from stage.support import portable_math
 
 ACTIONS = ("corrections", "box", "registers")
@@ -229,7 +229,7 @@ class SynchronizedMove(MoveTask[Config]):
         return {"distances": self.distances[stage_index].copy(), "rate": float(self.rate[stage_index])}
 
     def prepare_next_step(self) -> None:
-        for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
+        for k in np.flatnonzero(self.undiverged_stages & ~self.results["terminated"]):
             self._draw_move(int(k), {})
 
     def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
@@ -301,7 +301,7 @@ class SynchronizedMove(MoveTask[Config]):
         samples = np.zeros((self.n, c.looks, every, 4), np.int64)
         samples[:, :, 0, 0] = WAIT
         samples[:, :, 0, 1] = np.ceil(length * (1e9 / c.looks))[:, None]
-        samples[:, :, 1:, 0], samples[:, :, 1:, 1] = LOOK, self.index
+        samples[:, :, 1:, 0], samples[:, :, 1:, 1] = SAMPLE_POSITION, self.index
         self._sample_slices = [slice(moves.shape[1] + 1 + a, None, every) for a in range(len(self.index))]
         return np.concatenate([moves, samples.reshape(self.n, -1, 4)], axis=1)
 
@@ -345,7 +345,7 @@ class SynchronizedMove(MoveTask[Config]):
             "registers": self.to_registers(self.actions),
         }  # fmt: skip
         now = [np.minimum(deviation / c.far, 1.0), off_line / (off_line + TENTH_MM), duration / c.limit, finished * 1.0]
-        good, over = self.converged, self.steps >= c.moves
+        good, over = self.undiverged_stages, self.steps >= c.moves
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), 0.0, 1.0)[good]
         self.set_results(parts, info, over | ~finished, False)
 
@@ -373,7 +373,7 @@ class SynchronizedMove(MoveTask[Config]):
         of_axes = np.concatenate(
             [
                 (self.distances / c.distances[1])[:, :, None],
-                self.line.compute_share_errors(self.requested_lines) / (2 * c.reach),
+                self.line.compute_line_errors(self.requested_lines) / (2 * c.reach),
             ],
             axis=2,
         )

@@ -123,7 +123,7 @@ class Task(ABC, Generic[ConfigT]):
         """Apply what was drawn for a stage and is not part of its snapshots, such as the payload. The base class has nothing."""
 
     def prepare_next_step(self) -> None:
-        """Prepare the next step of the stages in `converged`, for example by drawing the next move. The base class does nothing."""
+        """Prepare the next step of `undiverged_stages`, for example by drawing the next move. The base class does nothing."""
 
     @abstractmethod
     def update_observations(self) -> None:
@@ -164,8 +164,8 @@ class Task(ABC, Generic[ConfigT]):
         return {name: value for name, value in self.describe_episode(stage_index).items() if name not in self.hidden}
 
     @property
-    def converged(self) -> np.ndarray:
-        """Mask of the active stages whose last step did not diverge, (n,)."""
+    def undiverged_stages(self) -> np.ndarray:
+        """Mask of the active stages whose simulation did not diverge in the last step, (n,)."""
         return self.active & (self.results["cause"] == 0)
 
     def reset_stage(self, stage_index: int, options: Mapping[str, Any]) -> None:

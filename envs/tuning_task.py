@@ -116,7 +116,7 @@ class TuningTask(MoveTask[ConfigT]):
         self._draw_move(stage_index, options)
 
     def prepare_next_step(self) -> None:
-        for k in np.flatnonzero(self.converged):
+        for k in np.flatnonzero(self.undiverged_stages):
             self._draw_move(int(k), {})
 
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
@@ -183,7 +183,7 @@ class TuningTask(MoveTask[ConfigT]):
             now: Outcome of the move, as the next observation shows it, (n, 4).
         """
         c: Any = self.config
-        good = self.converged
+        good = self.undiverged_stages
         self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
         drawn = {
             "distance": self.distance,

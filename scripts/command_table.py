@@ -19,7 +19,7 @@ from pathlib import Path
 from stage.chips import CHIPS
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
-from stage.chips.register_map import EVIDENCE, Command, RegisterMap
+from stage.chips.register_map import EVIDENCE, ChipCommand, RegisterMap
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "nova.md"
@@ -43,7 +43,7 @@ def count_covering_tests(folder: Path) -> Tests:
     return matches
 
 
-def describe_support(map_: RegisterMap, command: Command) -> str:
+def describe_support(map_: RegisterMap, command: ChipCommand) -> str:
     """Describe for the table whether a chip supports a command."""
     if map_.chip not in CHIPS:
         return "no chip yet"

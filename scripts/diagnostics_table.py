@@ -11,12 +11,12 @@ from pathlib import Path
 from types import ModuleType
 
 from stage.chips import HCTL1100, MCX312, MCX514, PCL240MS, STEPDIR
-from stage.chips.diagnostics import list_rules
 from stage.chips.hctl1100 import lint as hctl1100_lint
 from stage.chips.nova import lint as nova_lint
 from stage.chips.pcl240 import lint as pcl240_lint
 from stage.chips.register_map import RegisterMap
 from stage.chips.stepdir import lint as stepdir_lint
+from stage.chips.write_diagnostics import list_rules
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnostics.md"
 BLOCK = re.compile(r"(<!-- sections: (\w+) -->\n).*?(<!-- end -->)", re.S)

@@ -88,7 +88,9 @@ def the_rotor_rings_at_its_natural_frequency(ax):
         )
         print(f"   {label}: {simulated:.1f} ({formula:.1f})")
     for times, color in ((1, BLUE), (4, RED)):
-        swing = simulate_motor(DRIVE, np.zeros(count_slices(0.03)), times * ROTOR, theta=0.1 * STEP, viscous=5e-4)
+        swing = simulate_motor(
+            DRIVE, np.zeros(count_slices(0.03)), times * ROTOR, start_angle=0.1 * STEP, frame_damping=5e-4
+        )
         hz = simulate_ring_down(DRIVE, times * ROTOR)
         label = "bare rotor" if times == 1 else f"{times} rotors"
         ax.plot(
@@ -144,7 +146,7 @@ def slip_is_a_multiple_of_four_full_steps(ax):
     counts = compute_mean_counts(np.where(seconds < 0.5, 300 / 60 * DRIVE.pulses_per_turn, 0.0))
     for ms, color in ((1, MUTED_COLOR), (4, GREEN), (8, BLUE), (12, RED)):
         load = np.where((seconds >= 0.1) & (seconds < 0.1 + ms * 1e-3), 0.5, 0.0)
-        trace = simulate_motor(DRIVE, counts, ROTOR, load, viscous=1e-3, omega=300 * 2 * np.pi / 60)
+        trace = simulate_motor(DRIVE, counts, ROTOR, load, frame_damping=1e-3, start_speed=300 * 2 * np.pi / 60)
         lag = compute_load_angle(DRIVE, trace) / (np.pi / 2)
         ax.plot(seconds * 1e3 - 100, lag, color=color, lw=1.8, label=f"{ms} ms")
         print(f"   {ms:2} ms: at rest {lag[-1]:.4f} full steps behind; lost_steps = {count_lost_steps(DRIVE, trace)}")
@@ -183,7 +185,7 @@ def missed_steps_never_repair_themselves(ax):
     seconds = np.arange(count_slices(0.5)) * SLICE_S
     rates = np.where(seconds < 0.1, 1000.0, 0.0) - np.where((seconds >= 0.2) & (seconds < 0.3), 1000.0, 0.0)
     load = np.where((seconds >= 0.05) & (seconds < 0.058), 0.5, 0.0)
-    trace = simulate_motor(DRIVE, compute_mean_counts(rates * DRIVE.microsteps), ROTOR, load, viscous=1e-3)
+    trace = simulate_motor(DRIVE, compute_mean_counts(rates * DRIVE.microsteps), ROTOR, load, frame_damping=1e-3)
     for ms in (190, 499):
         k = count_slices(ms * 1e-3)
         rotor, lost = trace["theta"][k] / STEP, count_lost_steps(DRIVE, trace[: k + 1])

@@ -9,7 +9,7 @@ import pytest
 
 from stage import ArgumentError, Stage, firmware
 from stage.board import layouts
-from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, Chip, contract
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, Chip, contract_check
 from stage.chips.register_map import Field, Register, Word
 from stage.firmware.pcl240.driver import Pcl240Driver
 
@@ -87,7 +87,7 @@ def change_core(**change):
 )
 def test_what_a_class_has_wrong_is_named(lacks, message):
     with pytest.raises(ArgumentError, match=f"BAD breaks the contract of chips: .*{message}"):
-        contract.check_chip_class(type("BAD", (PCL240K,), lacks), Chip)
+        contract_check.check_chip_class(type("BAD", (PCL240K,), lacks), Chip)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_what_a_class_has_wrong_is_named(lacks, message):
     ],
 )
 def test_values_at_the_bounds_are_accepted(has):
-    contract.check_chip_class(type("GOOD", (PCL240K,), has), Chip)
+    contract_check.check_chip_class(type("GOOD", (PCL240K,), has), Chip)
 
 
 class NoStop(Pcl240Driver):
@@ -174,7 +174,7 @@ def test_a_fraction_and_a_wide_address_give_different_diagnostics():
 def test_an_error_counts_all_mistakes_and_names_the_first_four():
     lacks = {"BUSY": (-1, 1), "COUNTER": ("R0", 0), "MICROSTEPS": 257, "DRIVER": "x", "DEFAULT_CLOCK_HZ": 0}
     with pytest.raises(ArgumentError) as caught:
-        contract.check_chip_class(type("BAD", (PCL240K,), lacks), Chip)
+        contract_check.check_chip_class(type("BAD", (PCL240K,), lacks), Chip)
     message = str(caught.value)
     assert "BUSY is" in message.partition(" (and 4 more: ")[0]
     assert [name in message.partition(" (and 4 more: ")[2] for name in ("COUNTER", "DEFAULT_CLOCK_HZ", "MICROSTEPS", "DRIVER")] == [
@@ -186,9 +186,9 @@ def test_a_class_that_was_checked_without_its_methods_is_checked_with_them_later
     class Mute(PCL240K):
         make_describer = Chip.make_describer
 
-    contract.check_chip_class(Mute, Chip, check_methods=False)
+    contract_check.check_chip_class(Mute, Chip, check_methods=False)
     for _ in range(2):
         with pytest.raises(
             ArgumentError, match=r"the class has no make_describer\(\), what bus cycles say, for traces"
         ):
-            contract.check_chip_class(Mute, Chip)
+            contract_check.check_chip_class(Mute, Chip)

@@ -14,7 +14,7 @@ import pytest
 from stage import ArgumentError, Fleet, Program, Stage, StageError
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.sim import program_player
-from stage.sim.program import END, LOOK, MEASURE, READ, STOP, WAIT, WRITE
+from stage.sim.program import AWAIT_STOP, END, MEASURE, READ, SAMPLE_POSITION, WAIT, WRITE
 
 N = 5
 
@@ -176,9 +176,9 @@ def test_what_a_fleet_cannot_be_is_refused(first):
 @pytest.mark.parametrize(
     "op",
     [
-        (WRITE, 3, 0, 0x11), (READ, 2, 0, 0), (READ, -1, 0, 0), (LOOK, 2, 0, 0), (STOP, 4, 1, 1),
-        (STOP, -1, 1, 1), (STOP, 1, 0, 1), (WAIT, -1, 0, 0), (WAIT, 1 << 62, 0, 0), (MEASURE, -5, 0, 0), (MEASURE, 5, 99, 0),
-        (MEASURE, 5, -99, 0),
+        (WRITE, 3, 0, 0x11), (READ, 2, 0, 0), (READ, -1, 0, 0), (SAMPLE_POSITION, 2, 0, 0), (AWAIT_STOP, 4, 1, 1),
+        (AWAIT_STOP, -1, 1, 1), (AWAIT_STOP, 1, 0, 1), (WAIT, -1, 0, 0), (WAIT, 1 << 62, 0, 0), (MEASURE, -5, 0, 0),
+        (MEASURE, 5, 99, 0), (MEASURE, 5, -99, 0),
         (7, 0, 0, 0), (-1, 0, 0, 0),
     ],
 )  # fmt: skip
@@ -368,14 +368,14 @@ def test_a_closed_fleet_plays_again_and_stops_are_waited_for_axis_by_axis(first)
 
 
 def test_a_program_that_keeps_step_ends_at_the_first_one_lost_compiled_or_not(first):
-    """Program().until_stopped([0], 2.0, keep_step=True)"""
+    """Program().until_stopped([0], 2.0, end_on_lost_step=True)"""
 
-    def played(fl, keep_step, recorded=False, poll=2.5e-4):
+    def played(fl, end_on_lost_step, recorded=False, poll=2.5e-4):
         fleet = Fleet(copy_stages(first, 1), threads=1)
         axis, p = fleet.stages[0].axes["x"], Program().command(0, 0x08)
         for name, value in {"R0": 4000, "R1": fl, "R2": fl, "R7": 120}.items():
             p.register(0, axis.chip, name, value)
-        p.command(0, 0x44).command(0, 0x11).until_stopped([0], 2.0, poll, keep_step).measure(0.01)
+        p.command(0, 0x44).command(0, 0x11).until_stopped([0], 2.0, poll, end_on_lost_step).measure(0.01)
         recording = fleet.stages[0].record() if recorded else None
         result = fleet.play([p])
         if recording:

@@ -123,7 +123,7 @@ def make_stepper_program(rng):
     p.measure(float(rng.uniform(5e-4, 2e-3)), 1)
     for axis in range(3):
         p.read(axis, 0).read(axis, 1)
-    return stage, p.until_stopped([0, 2], 0.01, keep_step=True).measure(0.0).write(0, 0, 8)
+    return stage, p.until_stopped([0, 2], 0.01, end_on_lost_step=True).measure(0.0).write(0, 0, 8)
 
 
 def make_servo_program(rng):

@@ -8,7 +8,7 @@ import pytest
 
 from stage import ModelError, Stage
 from stage.sim.plant import open_spec
-from stage.sim.plant.size_limits import MAX_COMPOSITE_BODIES, MAX_ELEMENTS, MAX_SAMPLES, check_model_size
+from stage.sim.plant.model_file_limits import MAX_COMPOSITE_BODIES, MAX_ELEMENTS, MAX_SAMPLES, check_model_size
 
 NESTED = (
     '<worldbody><replicate count="1000" offset="1 0 0"><replicate count="1000" offset="0 1 0"><geom size=".1"/>'

@@ -15,7 +15,7 @@ from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
 from stage.sim.model_fingerprint import compute_fingerprint
 from stage.sim.plant import naming_contract
-from stage.sim.plant.model_errors import ModelProblems
+from stage.sim.plant.naming_contract_errors import ModelProblems
 from stage.sim.plant.new_model import NewAxis, new_model
 
 ROOT = Path(__file__).parent.parent

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 
 from stage.chips.chip import Chip
-from stage.chips.diagnostics import Diagnostic
+from stage.chips.write_diagnostics import Diagnostic
 
 MAX_DIAGNOSTICS = 200
 

@@ -30,7 +30,7 @@ def make_picture_tool(context: ToolContext) -> Tool:
 def draw_report(report: Any, mode: str) -> Picture:
     """Draw a report as PNG. In host mode, omit lost steps and all pins that registers do not show."""
     if isinstance(report, Report):
-        from stage.firmware.plot_move import draw_operation_pattern
+        from stage.firmware.operation_pattern_figure import draw_operation_pattern
 
         pins = find_readable_pins(report.waveforms.chip) if mode == "host" else None
         figure = draw_operation_pattern(hide_truth(report) if mode == "host" else report, pins=pins)

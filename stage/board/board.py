@@ -31,7 +31,7 @@ from stage.board.errors import HostError
 from stage.board.host_record_link import Link
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.serial_line import SerialLines
-from stage.chips.diagnostics import JournalLint
+from stage.chips.write_diagnostics import JournalLint
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim.stage import MAX_RUN_S, Stage
 from stage.support.argument_checks import explain_arguments

@@ -20,7 +20,7 @@ from stage.board.interrupt_hooks import PythonInterruptHooks
 from stage.board.memory_mapped_ports import explain_missing_windows
 from stage.errors import StageError
 from stage.native import without_attributes
-from stage.sim import engine_records, stage_handle
+from stage.sim import compiled_stage_access, engine_records
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -85,7 +85,7 @@ class Link:
         self._rows = np.zeros(1, host_record.HOST)
         self.use_record(self._rows)
         h = self.record
-        stage_handle.fill_handle(self._rows, 0, stage.state)
+        compiled_stage_access.fill_handle(self._rows, 0, stage.state)
         self.irqs = np.zeros(len(stage.chips), host_record.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
@@ -141,7 +141,7 @@ class Link:
         stage.loop.check_integration_options()
         h["checked_chips"] = self.find_checked_chips()
         h["reached"] = stage.now
-        stage_handle.set_sample_buffers(h, stage.loop.recording)
+        compiled_stage_access.set_sample_buffers(h, stage.loop.recording)
 
     def find_checked_chips(self) -> int:
         """Return a bit mask of the chips whose writes a fault of the bus may lose."""

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from stage.board.bus.host_record import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PORT, PULLS, REGION, WORD
-from stage.chips import CHIPS, Chip, chip_class, contract
+from stage.chips import CHIPS, Chip, chip_class, contract_check
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
 from stage.chips.pcl240 import PCL240
@@ -104,7 +104,7 @@ def make_default_layout(chip: Chip) -> Layout:
         if isinstance(chip, layout.kind):
             return layout
     if chip.LAYOUT:
-        layout = contract.load_attribute(type(chip), "LAYOUT", "its layout")
+        layout = contract_check.load_attribute(type(chip), "LAYOUT", "its layout")
         if not isinstance(layout, Layout):
             raise ArgumentError(f"{type(chip).__name__}: LAYOUT = {chip.LAYOUT!r} is no stage.board.layouts.Layout.")
         return layout

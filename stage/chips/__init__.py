@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stage.chips import contract
+from stage.chips import contract_check
 from stage.chips.chip import Chip, ChipAxis, Snapshot
-from stage.chips.diagnostics import Diagnostic
 from stage.chips.registry import Registry
+from stage.chips.write_diagnostics import Diagnostic
 from stage.errors import ArgumentError, unknown_name_error
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
     if not isinstance(chip, str):
         if not (isinstance(chip, type) and issubclass(chip, Chip)):
             raise ArgumentError(f"chip {chip!r}: give a chip class or its name: {', '.join(CHIPS)}.")
-        contract.check_chip_class(chip, Chip, check_methods=False)
+        contract_check.check_chip_class(chip, Chip, check_methods=False)
         return chip
     if chip not in CHIPS:
         raise unknown_name_error("chip", chip.upper(), CHIPS)

@@ -20,9 +20,12 @@ from zlib import crc32
 
 import numpy as np
 
-from stage.chips import contract
+from stage.chips import contract_check
 from stage.chips.cycle_descriptions import CycleDescriber, Decoder
-from stage.chips.diagnostics import (
+from stage.chips.exclusive_access import SessionLock, exclusive, exclusively, with_lock
+from stage.chips.journal import Journal
+from stage.chips.register_map import RegisterMap, Word, dump
+from stage.chips.write_diagnostics import (
     BUS_WIDTH,
     CLOCK_RANGE,
     MAX_DIAGNOSTICS,
@@ -31,9 +34,6 @@ from stage.chips.diagnostics import (
     JournalLint,
     parse_diagnostics,
 )
-from stage.chips.exclusive_access import SessionLock, exclusive, exclusively, with_lock
-from stage.chips.journal import Journal
-from stage.chips.register_map import RegisterMap, Word, dump
 from stage.errors import ArgumentError, StageError, add_article, find_similar_names, unknown_name_error
 from stage.native import without_attributes
 from stage.support import snapshots
@@ -219,7 +219,7 @@ class Chip(DeclaredAttributes):
         Raises:
             ArgumentError: The clock is no whole number in this range, or the class breaks the contract of chips.
         """
-        contract.check_chip_class(type(self), Chip, check_methods=False)
+        contract_check.check_chip_class(type(self), Chip, check_methods=False)
         hz: Any = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
         if not isinstance(hz, int | float | np.number) or not 1 <= hz <= self.MAX_CLOCK_HZ or int(hz) != hz:
             raise ArgumentError(

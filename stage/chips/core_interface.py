@@ -29,7 +29,7 @@ ANSWERS: dict[str, tuple[str | None, ...]] = {
     "set_shaft": (None, "i8", "f8", "f8"),
     "read_net_count": ("i8", "i8"),
     "compute_drive_input": ("f8", "i8", "i8", "f8"),
-    "compute_pulse_rate": ("f8", "i8", "f8"),
+    "read_pulse_rate": ("f8", "i8", "f8"),
     "read_counter": ("i8", "i8"),
     "read_inputs": ("i8", "i8"),
     "set_input": (None, "i8", "i8"),
@@ -95,9 +95,7 @@ _run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "se
 _current, _load, _wire_output, _wire_output_until, _wire_word, _set_wire_word = (
     _TYPES[types] for types in OPTIONAL.values()
 )
-_mean, _rate, _word = (
-    _TYPES[ANSWERS[name]] for name in ("compute_drive_input", "compute_pulse_rate", "read_net_count")
-)
+_mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("compute_drive_input", "read_pulse_rate", "read_net_count"))
 
 
 def fill_chip_record(chip_record: Any, core: Any, state_address: int) -> None:
@@ -298,7 +296,7 @@ def compute_drive_input(chip, axis_index, net_before, clocks):
 
 
 @hot
-def compute_pulse_rate(chip, axis_index, clock_hz):
+def read_pulse_rate(chip, axis_index, clock_hz):
     """Return the present rate of the net count, per second.
 
     Args:
@@ -306,7 +304,7 @@ def compute_pulse_rate(chip, axis_index, clock_hz):
         axis_index: Axis of the chip.
         clock_hz: Reference clock, Hz.
     """
-    return _rate(chip.compute_pulse_rate, (chip.at, axis_index, clock_hz))
+    return _rate(chip.read_pulse_rate, (chip.at, axis_index, clock_hz))
 
 
 @hot

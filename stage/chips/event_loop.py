@@ -42,7 +42,7 @@ def make_event_functions(
     """Make the functions of a core that let time pass. The callables are hot functions whose first argument is the chip's state.
 
     Args:
-        core: Module of the core, with STATE, read_inputs, read_outputs, read_counter, read_net_count, compute_pulse_rate and
+        core: Module of the core, with STATE, read_inputs, read_outputs, read_counter, read_net_count, read_pulse_rate and
             compute_drive_input.
         advance_to_event: (chip, until): lets time pass to the next event or to `until`, and returns whether an event happened.
         count_pulses: Returns a number that increases with each pulse.
@@ -93,7 +93,7 @@ def _make_scan_functions(
 ) -> tuple[Any, Any]:
     """Make write_present_edge and scan_edges, see `make_event_functions`."""
     state, read_inputs, read_outputs = core.STATE, core.read_inputs, core.read_outputs
-    read_counter, read_net_count, compute_pulse_rate = core.read_counter, core.read_net_count, core.compute_pulse_rate
+    read_counter, read_net_count, read_pulse_rate = core.read_counter, core.read_net_count, core.read_pulse_rate
 
     @export_from(core, None, state, "i8", array_of(EDGE), "i8")
     def write_present_edge(chip: Any, axis_index: int, edges: Any, edge_index: int) -> None:
@@ -101,7 +101,7 @@ def _make_scan_functions(
         e = edges[edge_index]
         e.clock, e.inputs, e.outputs = chip.clock, read_inputs(chip, 0), read_outputs(chip, 0)
         e.counter, e.net = read_counter(chip, 0), read_net_count(chip, 0)
-        e.rate = compute_pulse_rate(chip, 0, 1.0)
+        e.rate = read_pulse_rate(chip, 0, 1.0)
 
     @export_from(core, "i8", state, "i8", "i8", "i8", array_of(EDGE))
     def scan_edges(chip: Any, until: int, every_pulse: int, axis_index: int, edges: Any) -> int:
@@ -117,11 +117,11 @@ def _make_scan_functions(
         Returns:
             The number of records. If `edges` is nearly full the chip stops early.
         """
-        k, word, pins, rate = 0, read_outputs(chip, 0), read_inputs(chip, 0), compute_pulse_rate(chip, 0, 1.0)
+        k, word, pins, rate = 0, read_outputs(chip, 0), read_inputs(chip, 0), read_pulse_rate(chip, 0, 1.0)
         while chip.clock < until and k < len(edges) - SCAN_ROOM:
             if not advance_to_event(chip, until):
                 break
-            now, new = read_outputs(chip, 0), compute_pulse_rate(chip, 0, 1.0)
+            now, new = read_outputs(chip, 0), read_pulse_rate(chip, 0, 1.0)
             answers = (pins ^ read_inputs(chip, 0)) & answered_inputs
             if every_pulse or now != word or answers or abs(new - rate) > get_marked_change(chip):
                 write_present_edge(chip, 0, edges, k)

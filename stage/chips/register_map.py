@@ -249,7 +249,7 @@ class Word:
 
 
 @dataclass(frozen=True)
-class Command:
+class ChipCommand:
     """Command of a chip.
 
     Attributes:
@@ -305,7 +305,7 @@ class Command:
         return f"{self.code:02X}h" if not self.choice else f"{self.codes[0]:02X}h..{self.codes[-1]:02X}h"
 
 
-def make_write_command(register: Register, kind: str = "data write", axes: bool = True) -> Command:
+def make_write_command(register: Register, kind: str = "data write", axes: bool = True) -> ChipCommand:
     """Make the command that writes a register. The number of the register is the command's code.
 
     Args:
@@ -313,7 +313,7 @@ def make_write_command(register: Register, kind: str = "data write", axes: bool 
         kind: "data write" or "mode write".
         axes: Whether the command is sent to axes.
     """
-    return Command(
+    return ChipCommand(
         register.number,
         register.name,
         register.title,
@@ -327,7 +327,9 @@ def make_write_command(register: Register, kind: str = "data write", axes: bool 
     )
 
 
-def make_read_command(register: Register, code: int | None = None, evidence: str = "", axes: bool = True) -> Command:
+def make_read_command(
+    register: Register, code: int | None = None, evidence: str = "", axes: bool = True
+) -> ChipCommand:
     """Make the command that reads a register.
 
     Args:
@@ -340,7 +342,7 @@ def make_read_command(register: Register, code: int | None = None, evidence: str
     if code is None:
         return replace(make_write_command(register, "data read", axes), legal=None)
     evidence_letter = evidence or register.evidence
-    return Command(
+    return ChipCommand(
         code,
         f"R-{register.name}",
         f"read {register.name}",
@@ -362,7 +364,7 @@ class RegisterMap:
     source: str
     registers: tuple[Register, ...]
     words: tuple[Word, ...]
-    commands: tuple[Command, ...] = ()
+    commands: tuple[ChipCommand, ...] = ()
     axes: int = 1
 
     def __repr__(self) -> str:
@@ -392,7 +394,7 @@ class RegisterMap:
         """
         return _find_in_table(self._words, name, f"{self.chip} word")
 
-    def command(self, symbol: str) -> Command:
+    def command(self, symbol: str) -> ChipCommand:
         """Return the command with a symbol, in any case.
 
         Raises:
@@ -401,11 +403,11 @@ class RegisterMap:
         return _find_in_table(self._commands, _to_upper(symbol), f"{self.chip} command")
 
     @cached_property
-    def by_code(self) -> dict[int, Command]:
+    def by_code(self) -> dict[int, ChipCommand]:
         """Command of each command code."""
         return {code: c for c in self.commands for code in c.codes}
 
-    def find_command_or_word(self, symbol: str, datum: int | None = None) -> tuple[Command | Word, int]:
+    def find_command_or_word(self, symbol: str, datum: int | None = None) -> tuple[ChipCommand | Word, int]:
         """Find the command or word with a name, and check the datum that a host sends with it; see `Chip.command_cycles`.
 
         Args:
@@ -421,7 +423,7 @@ class RegisterMap:
         from stage.errors import ArgumentError
 
         words = {w.name.upper(): w for w in self.words if w.is_written}
-        known: dict[str, Command | Word] = {**words, **{name.upper(): c for name, c in self._commands.items()}}
+        known: dict[str, ChipCommand | Word] = {**words, **{name.upper(): c for name, c in self._commands.items()}}
         what = _find_in_table(known, _to_upper(symbol), f"{self.chip} command")
         if isinstance(what, Word):
             takes, mask = f"{what.bits} bits: {what.title}", (1 << what.bits) - 1
@@ -437,7 +439,7 @@ class RegisterMap:
         if not is_whole or not -(mask + 1) // 2 <= int(datum or 0) <= mask:
             datum_text = "none was given" if datum is None else f"{datum!r} was given"
             raise ArgumentError(f"{self.chip} {symbol} takes {takes}; {datum_text}.")
-        if isinstance(what, Command) and what.choice and not int(datum or 0) & mask == datum != 0:
+        if isinstance(what, ChipCommand) and what.choice and not int(datum or 0) & mask == datum != 0:
             raise ArgumentError(f"{self.chip} {symbol} takes {takes}, one of them at least; {datum!r} was given.")
         return what, int(datum or 0) & mask
 
@@ -490,7 +492,7 @@ class RegisterMap:
         return {w.name: w for w in self.words}
 
     @cached_property
-    def _commands(self) -> dict[str, Command]:
+    def _commands(self) -> dict[str, ChipCommand]:
         return {c.symbol: c for c in self.commands}
 
     @cached_property

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, MutableMapping
 from dataclasses import dataclass
 from importlib import import_module
 
-from stage.chips import contract
+from stage.chips import contract_check
 from stage.chips.chip import Chip
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
 from stage.support.entry_points import PackagePart, find_package_parts, load_package_part, may_have_package_part
@@ -171,7 +171,7 @@ def _load_class(name: str, sources: list[PackagePart]) -> type[Chip]:
     """Load the class that an entry point names. Raises LoadError or ArgumentError."""
     chip = load_package_part("chip", name, sources)
     try:
-        contract.check_chip_class(chip, Chip)
+        contract_check.check_chip_class(chip, Chip)
         if normalize_chip_name(chip.__name__) != name:
             advice = _advise_renaming(sources)
             raise ArgumentError(

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.chips.diagnostics import describe_mistakes
+from stage.chips.write_diagnostics import describe_mistakes
 from stage.cli import options, serial_options
 from stage.cli.command_interface import add_command, add_facts, report_written_file, warn
 from stage.cli.options import DURATION, FREQUENCY, TIME, parse_integer

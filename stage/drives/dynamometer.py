@@ -139,7 +139,7 @@ def _check_inertia(drive: Drive, inertia: float) -> None:
 
 
 @exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
-def _simulate_motor(drive, counts, load, inertia, viscous, damper, theta, omega, trace):
+def _simulate_motor(drive, counts, load, inertia, frame_damping, flywheel_damping, theta, omega, trace):
     """Integrate the rotor's motion by leapfrog, and write the values of each slice into `trace`.
 
     The torque of a slice acts at the rotor's angle in the middle of the slice. Friction can stop a rotor but never turns it.
@@ -151,9 +151,9 @@ def _simulate_motor(drive, counts, load, inertia, viscous, damper, theta, omega,
         row = trace[k]
         row.count, row.theta, row.omega, row.torque = counts[k], theta, omega, force
         row.current_a, row.current_b = drive.current_a, drive.current_b
-        push, brake = omega + SLICE_S / inertia * (force + damper * case), SLICE_S / inertia * load[k]
+        push, brake = omega + SLICE_S / inertia * (force + flywheel_damping * case), SLICE_S / inertia * load[k]
         push = greatest(push - brake, 0.0) if push > 0.0 else least(push + brake, 0.0)
-        omega = push / (1.0 + SLICE_S / inertia * (viscous + damper))
+        omega = push / (1.0 + SLICE_S / inertia * (frame_damping + flywheel_damping))
         theta += SLICE_S * omega
 
 
@@ -186,10 +186,10 @@ def simulate_motor(
     counts: Floats,
     inertia: float,
     load: Floats | float = 0.0,
-    viscous: float = DEFAULT_DAMPING_N_M_S,
-    damper: float = 0.0,
-    theta: float | None = None,
-    omega: float = 0.0,
+    frame_damping: float = DEFAULT_DAMPING_N_M_S,
+    flywheel_damping: float = 0.0,
+    start_angle: float | None = None,
+    start_speed: float = 0.0,
 ) -> np.ndarray:
     """Run a motor with a given waveform of commanded pulses. The drive starts on counts[0].
 
@@ -198,11 +198,11 @@ def simulate_motor(
         counts: Commanded pulses, mean over each slice, shape (n,).
         inertia: Moment of inertia with that of the rotor, kg m^2.
         load: Friction, N m, a number or an array of shape (n,).
-        viscous: Damping relative to the frame, N m s/rad, in addition to the motor's core loss.
-        damper: Damping relative to a flywheel that always turns at the starting speed, N m s/rad. It takes no torque from a rotor
-            that keeps this speed.
-        theta: Rotor angle at the start, rad; default: on counts[0].
-        omega: Speed at the start, rad/s.
+        frame_damping: Damping relative to the frame, N m s/rad, in addition to the motor's core loss.
+        flywheel_damping: Damping relative to a flywheel that always turns at the starting speed, N m s/rad. It takes no torque
+            from a rotor that keeps this speed.
+        start_angle: Rotor angle at the start, rad; default: on counts[0].
+        start_speed: Speed at the start, rad/s.
 
     Returns:
         TRACE records, shape (n,).
@@ -218,17 +218,28 @@ def simulate_motor(
         )
     if np.shape(load) not in ((), waveform.shape):
         raise ArgumentError(f"load of shape {np.shape(load)}: give one number, or {len(waveform)}, one a slice.")
-    if not (np.min(load) >= 0 and viscous >= 0 and damper >= 0):
+    if not (np.min(load) >= 0 and frame_damping >= 0 and flywheel_damping >= 0):
         raise ArgumentError(
-            f"load={load!r}, viscous={viscous!r}, damper={damper!r}: friction takes power: give 0 or more."
+            f"load={load!r}, frame_damping={frame_damping!r}, flywheel_damping={flywheel_damping!r}: friction takes power: "
+            "give 0 or more."
         )
     rows = np.zeros(1, stepper.DRIVE)
     drive.fill_record(rows[0])
     trace = np.zeros(len(waveform), TRACE)
     brake = np.array(np.broadcast_to(np.asarray(load, float), waveform.shape))
-    start = drive.per_pulse * waveform[0] / drive.motor.rotor_teeth if theta is None else theta
-    viscous = float(viscous) + drive.motor.core_loss_damping
-    _simulate_motor(rows, waveform, brake, float(inertia), viscous, float(damper), float(start), float(omega), trace)
+    start = drive.per_pulse * waveform[0] / drive.motor.rotor_teeth if start_angle is None else start_angle
+    frame_damping = float(frame_damping) + drive.motor.core_loss_damping
+    _simulate_motor(
+        rows,
+        waveform,
+        brake,
+        float(inertia),
+        frame_damping,
+        float(flywheel_damping),
+        float(start),
+        float(start_speed),
+        trace,
+    )
     return trace
 
 
@@ -301,7 +312,7 @@ def simulate_pull_out(
     """
     inertia = 10 * drive.motor.rotor_inertia if inertia is None else inertia
     drive, loss = _split_core_loss(drive)
-    damper = _compute_damping(drive, inertia, damping_ratio) + loss
+    flywheel_damping = _compute_damping(drive, inertia, damping_ratio) + loss
     onset = 0.5 - 0.5 * np.cos(
         math.pi * np.minimum(np.arange(count_slices(BRAKE_ONSET_S + BRAKE_HOLD_S)) * SLICE_S / BRAKE_ONSET_S, 1)
     )
@@ -311,7 +322,7 @@ def simulate_pull_out(
         counts = compute_mean_counts(np.full(len(onset), speed / 60 * drive.pulses_per_turn))
 
         def keeps_up(load: float, counts: np.ndarray = counts, omega: float = speed * 2 * math.pi / 60) -> bool:
-            trace = simulate_motor(drive, counts, inertia, load * onset, 0.0, damper, omega=omega)
+            trace = simulate_motor(drive, counts, inertia, load * onset, 0.0, flywheel_damping, start_speed=omega)
             return bool((np.abs(compute_load_angle(drive, trace)) < SLIP_ANGLE_RAD).all())
 
         low, high = 0.0, 1.2 * (drive.motor.torque_constant * drive.amplitude + drive.detent_torque)
@@ -330,7 +341,7 @@ def count_steps_lost_in_start(
     inertia: float,
     accel: float = 0.0,
     load: float = 0.0,
-    viscous: float = DEFAULT_DAMPING_N_M_S,
+    frame_damping: float = DEFAULT_DAMPING_N_M_S,
 ) -> int:
     """Count the full steps lost by a start from rest, 0.4 s after the rate is reached.
 
@@ -340,7 +351,7 @@ def count_steps_lost_in_start(
         inertia: kg m^2, rotor included.
         accel: Ramp from 0, pps/s; 0: at once.
         load: Friction, N m.
-        viscous: Damping, N m s/rad.
+        frame_damping: Damping, N m s/rad.
 
     Raises:
         ArgumentError: A rate or a ramp is out of range.
@@ -351,10 +362,12 @@ def count_steps_lost_in_start(
         )
     time = np.arange(count_slices(0.4 + (rate / accel if accel else 0.0))) * SLICE_S
     rates = np.minimum(accel * time, rate) if accel else np.full(len(time), float(rate))
-    return count_lost_steps(drive, simulate_motor(drive, compute_mean_counts(rates), inertia, load, viscous))
+    return count_lost_steps(drive, simulate_motor(drive, compute_mean_counts(rates), inertia, load, frame_damping))
 
 
-def find_pull_in_rate(drive: Drive, inertia: float, load: float = 0.0, viscous: float = DEFAULT_DAMPING_N_M_S) -> float:
+def find_pull_in_rate(
+    drive: Drive, inertia: float, load: float = 0.0, frame_damping: float = DEFAULT_DAMPING_N_M_S
+) -> float:
     """Find the pull-in rate, pps: the highest rate at which a motor starts at once, from rest, without losing a step. 0 if no rate
     does.
 
@@ -364,21 +377,21 @@ def find_pull_in_rate(drive: Drive, inertia: float, load: float = 0.0, viscous: 
         drive: Drive with its motor.
         inertia: Moment of inertia with that of the rotor, kg m^2.
         load: Friction, N m.
-        viscous: Damping, N m s/rad.
+        frame_damping: Damping, N m s/rad.
     """
     low, high = 0.0, 50.0 * drive.microsteps
-    while count_steps_lost_in_start(drive, high, inertia, 0.0, load, viscous) == 0:
+    while count_steps_lost_in_start(drive, high, inertia, 0.0, load, frame_damping) == 0:
         low, high = high, 1.03 * high
         if high > 20_000 * drive.microsteps:
             return low
     while low and high > 1.002 * low:
         middle = 0.5 * (low + high)
-        keeps_step = count_steps_lost_in_start(drive, middle, inertia, 0.0, load, viscous) == 0
+        keeps_step = count_steps_lost_in_start(drive, middle, inertia, 0.0, load, frame_damping) == 0
         low, high = (middle, high) if keeps_step else (low, middle)
     return low
 
 
-def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
+def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, frame_damping: float = 0.0) -> float:
     """Simulate a rotor that is released 1/40 full step away from a microstep, and return the frequency of its swing, Hz.
 
     The frequency is the mean over the zero crossings of the swing.
@@ -387,7 +400,7 @@ def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous
         drive: Drive with its motor.
         inertia: Moment of inertia with that of the rotor, kg m^2.
         microstep: Microstep on which the drive stands.
-        viscous: Damping, N m s/rad.
+        frame_damping: Damping, N m s/rad.
 
     Raises:
         ArgumentError: The rotor does not swing twice.
@@ -397,18 +410,22 @@ def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous
     # between full steps the detent pulls the rest away from the microstep: let a well damped rotor find it
     calm = 0.5 * math.sqrt(drive.motor.rotor_teeth * drive.motor.holding_torque * inertia)
     rest = float(
-        simulate_motor(drive, np.full(count_slices(0.3), float(microstep)), inertia, viscous=calm, theta=rest)["theta"][
-            -1
-        ]
+        simulate_motor(
+            drive, np.full(count_slices(0.3), float(microstep)), inertia, frame_damping=calm, start_angle=rest
+        )["theta"][-1]
     )
     swing = simulate_motor(
-        drive, np.full(count_slices(0.1), float(microstep)), inertia, viscous=viscous, theta=rest + aside
+        drive,
+        np.full(count_slices(0.1), float(microstep)),
+        inertia,
+        frame_damping=frame_damping,
+        start_angle=rest + aside,
     )
     out = swing["theta"] - rest
     up = np.flatnonzero((out[:-1] < 0) & (out[1:] >= 0))
     if len(up) < 2:
         raise ArgumentError(
-            f"inertia={inertia!r}, viscous={viscous!r}: the rotor does not ring twice in 0.1 s; give less."
+            f"inertia={inertia!r}, frame_damping={frame_damping!r}: the rotor does not ring twice in 0.1 s; give less."
         )
     crossings = up + out[up] / (out[up] - out[up + 1])
     return float((len(crossings) - 1) / ((crossings[-1] - crossings[0]) * SLICE_S))
@@ -446,14 +463,14 @@ def sweep_resonance(
     inertia = drive.motor.rotor_inertia if inertia is None else inertia
     rpm = rate / drive.motor.steps_per_turn * 60
     lossless, loss = _split_core_loss(drive)
-    damper = _compute_damping(drive, inertia, damping_ratio) + loss
+    flywheel_damping = _compute_damping(drive, inertia, damping_ratio) + loss
     ripple = np.zeros(len(rate))
     for k, speed in enumerate(_check_speeds(rpm)):
         counts = compute_mean_counts(np.full(count_slices(0.4), speed / 60 * drive.pulses_per_turn))
         omega = speed * 2 * math.pi / 60
-        free = simulate_motor(lossless, counts, inertia, loss * omega, 0.0, damper, omega=omega)["omega"][
-            count_slices(0.2) :
-        ]
+        free = simulate_motor(lossless, counts, inertia, loss * omega, 0.0, flywheel_damping, start_speed=omega)[
+            "omega"
+        ][count_slices(0.2) :]
         ripple[k] = math.sqrt(float(np.mean((free - omega) ** 2)))
     return Resonance(rate, simulate_pull_out(drive, rpm, inertia, damping_ratio), ripple)
 

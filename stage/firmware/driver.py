@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
-from stage.chips import Chip, contract
+from stage.chips import Chip, contract_check
 from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.chips.journal_entries import WRITE
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
@@ -361,7 +361,7 @@ class Driver(ABC):
     def commanded_rate(self) -> float:
         """Present signed rate of the commanded position, pulses (counts) per second. No bus cycle is made."""
         chip = self.chip
-        return float(chip.CORE.compute_pulse_rate.with_gil(chip.pointer, self.axis.chip_axis, float(chip.clock_hz)))
+        return float(chip.CORE.read_pulse_rate.with_gil(chip.pointer, self.axis.chip_axis, float(chip.clock_hz)))
 
     @property
     def max_rate(self) -> float:
@@ -437,17 +437,17 @@ class Driver(ABC):
         """Read from the chip why the axis stopped without a command of the host, for example "EL+"; "" if it shows no reason."""
         return ""
 
-    def explain_end(self, made_all_pulses: bool, journal: Journal | None = None) -> str:
+    def explain_end(self, all_pulses_sent: bool, journal: Journal | None = None) -> str:
         """Return the stop reason of a move for `Report.stopped_by`: from the chip, else from the journal, else UNKNOWN.
 
         Args:
-            made_all_pulses: True if the chip has made every commanded pulse: the reason is then DONE_REASON, unless the chip
+            all_pulses_sent: True if the chip has made every commanded pulse: the reason is then DONE_REASON, unless the chip
                 shows another.
             journal: Journal of the chip, opened before the move.
         """
         if shown := self.read_stop_reason():
             return shown
-        if made_all_pulses:
+        if all_pulses_sent:
             return self.DONE_REASON
         if journal is not None and any(e.kind == WRITE and self.is_stop_command(e.a, e.b) for e in journal.entries):
             return STOP_COMMAND
@@ -648,7 +648,7 @@ def get_driver_class(chip: type[Chip]) -> type[Driver]:
         raise ArgumentError(
             f"{add_article(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
         )
-    loaded = contract.load_attribute(chip, "DRIVER", "its driver")
+    loaded = contract_check.load_attribute(chip, "DRIVER", "its driver")
     if not isinstance(loaded, type) or not issubclass(loaded, Driver):
         raise ArgumentError(
             f"{chip.__name__}: DRIVER = {chip.DRIVER!r} is no class below stage.firmware.driver.Driver."

@@ -147,8 +147,8 @@ class LinePrograms(ABC):
         """
 
     @abstractmethod
-    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        """Compute how far each axis is from its share of the line with the registers of the data sheet.
+    def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
+        """Compute how far each axis leaves the straight line with the registers of the data sheet.
 
         Args:
             moves: Moves along the line.

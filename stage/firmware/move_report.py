@@ -184,7 +184,7 @@ class Report:
         Raises:
             FileError: The file exists, and `overwrite` is False.
         """
-        from stage.firmware.plot_move import draw_operation_pattern
+        from stage.firmware.operation_pattern_figure import draw_operation_pattern
 
         return draw_operation_pattern(self, path, title, ax, overwrite)
 

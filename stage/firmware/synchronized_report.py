@@ -120,7 +120,7 @@ class SynchronizedReport:
         Raises:
             FileError: The file exists, and `overwrite` is False.
         """
-        from stage.firmware.plot_synchronized_move import draw_synchronized_move
+        from stage.firmware.synchronized_move_figure import draw_synchronized_move
 
         return draw_synchronized_move(self, path, title, overwrite)
 

@@ -74,16 +74,16 @@ def build_library(package: str) -> Path:
     Raises:
         NativeError: The library cannot be built or written.
     """
-    places = library_manifest.find_package_folders(package)
-    folder = places[package]
+    package_folders = library_manifest.find_package_folders(package)
+    folder = package_folders[package]
     try:
         try:
             with _build_lock(folder):
-                return _build_library(package, places, folder)
+                return _build_library(package, package_folders, folder)
         except PermissionError:
             folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
-            return _build_library(package, places, folder)
+            return _build_library(package, package_folders, folder)
     except OSError as error:
         raise NativeError(
             f"the native library of {package} could not be written to {error.filename or folder}: "
@@ -91,7 +91,7 @@ def build_library(package: str) -> Path:
         ) from error
 
 
-def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
+def _build_library(package: str, package_folders: dict[str, Path], folder: Path) -> Path:
     """Build the library of a package in a folder, and return its path."""
     path = folder / library_manifest.NAME
     if not library_manifest.explain_library_misfit(package, path):
@@ -100,9 +100,9 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
         raise NativeError(
             f"libraries are built with numba {NUMBA}, and {installed} is installed: pip install numba=={NUMBA}."
         )
-    roots = places | library_manifest.find_package_folders("stage")
+    roots = package_folders | library_manifest.find_package_folders("stage")
     known = {module: Path(source) for module, source in library_manifest.list_modules(roots)}
-    parts = _list_parts(package, places)
+    parts = _list_parts(package, package_folders)
     object_cache = folder / "__pycache__"
     object_cache.mkdir(exist_ok=True)
     processor, needs = library_manifest.BASELINES.get(platform.machine(), ("", ()))
@@ -145,10 +145,10 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
     return path
 
 
-def _list_parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
+def _list_parts(package: str, package_folders: dict[str, Path]) -> dict[str, list[str]]:
     """Return for each part the modules that export functions, in the folder of the part and below it."""
     parts: dict[str, list[str]] = {}
-    for module in library_manifest.find_exporting_modules(places):
+    for module in library_manifest.find_exporting_modules(package_folders):
         folder = module.rpartition(".")[0]
         parts.setdefault(".".join(folder.split(".")[:DEPTH]), []).append(module)
     if not parts:
@@ -243,7 +243,7 @@ def _emit_objects(parts: list[list[str]], roots: dict[str, Path], processor: str
     inherited = filter(None, sys.path)  # pip builds in a place of its own
     environment["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*own_folders, *inherited]))
     job = {
-        "places": {name: str(folder) for name, folder in roots.items()},
+        "package_folders": {name: str(folder) for name, folder in roots.items()},
         "processor": processor,
         "parts": parts,
         "workers": min(len(parts), os.cpu_count() or 1),

@@ -54,17 +54,17 @@ def _find_changed_source(package: str, path: Path, sources: dict[str, str]) -> s
         path: Path of the library.
         sources: Module -> digest of its file when the library was built.
     """
-    places = {root: find_package_folders(root) for root in {module.partition(".")[0] for module in sources}}
+    package_folders = {root: find_package_folders(root) for root in {module.partition(".")[0] for module in sources}}
     for module, digest in sources.items():
         try:
-            same = digest_file(find_source(module, places[module.partition(".")[0]])) == digest
+            same = digest_file(find_source(module, package_folders[module.partition(".")[0]])) == digest
         except OSError:
             same = False
         if not same and package != "stage" and module.startswith("stage."):
             return f"{path} was built with another version of PulseStage: {module} is not as it was there"
         if not same:
             return f"{path} was built from other sources: {module} has changed"
-    own_folders = places.get(package) or find_package_folders(package)
+    own_folders = package_folders.get(package) or find_package_folders(package)
     # a wheel has its modules for good
     if package != "stage" or _find_project_file(own_folders[package]).is_file():
         for module in find_exporting_modules(own_folders, sources):
@@ -77,13 +77,13 @@ def _find_project_file(folder: Path) -> Path:
     return folder.parent / "pyproject.toml"
 
 
-def list_modules(places: dict[str, Path]) -> Iterator[tuple[str, str]]:
+def list_modules(package_folders: dict[str, Path]) -> Iterator[tuple[str, str]]:
     """Yield the full name and the file of every module.
 
     Args:
-        places: Package -> folder.
+        package_folders: Package -> folder.
     """
-    for name, folder in places.items():
+    for name, folder in package_folders.items():
         skipped = len(str(folder))
         for source in sorted(_list_sources(str(folder)), key=lambda path: path.split("/")):
             yield name + source[skipped:-3].replace("/", "."), source
@@ -99,14 +99,14 @@ def _list_sources(folder: str) -> Iterator[str]:
                 yield from _list_sources(f"{folder}/{entry.name}")
 
 
-def find_exporting_modules(places: dict[str, Path], known: Container[str] = ()) -> Iterator[str]:
+def find_exporting_modules(package_folders: dict[str, Path], known: Container[str] = ()) -> Iterator[str]:
     """Yield the modules that export functions.
 
     Args:
-        places: Package -> folder.
+        package_folders: Package -> folder.
         known: Modules to leave out.
     """
-    for module, source in list_modules(places):
+    for module, source in list_modules(package_folders):
         if module not in known and not module.startswith("stage.native."):
             with open(source, "rb") as file:
                 if b"\n@exported(" in file.read():
@@ -207,15 +207,15 @@ def find_package_folders(package: str) -> dict[str, Path]:
     return folders
 
 
-def find_source(module: str, places: dict[str, Path]) -> str:
+def find_source(module: str, package_folders: dict[str, Path]) -> str:
     """Return the path at which the file of a module is expected.
 
     Args:
         module: Full name of the module.
-        places: Folders of its package, as `find_package_folders` returns them.
+        package_folders: Folders of its package, as `find_package_folders` returns them.
     """
-    name = max((name for name in places if module.startswith(f"{name}.")), key=len)
-    return f"{places[name]}/{module[len(name) + 1 :].replace('.', '/')}.py"
+    name = max((name for name in package_folders if module.startswith(f"{name}.")), key=len)
+    return f"{package_folders[name]}/{module[len(name) + 1 :].replace('.', '/')}.py"
 
 
 def digest_file(source: str | Path) -> str:

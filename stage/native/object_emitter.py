@@ -69,17 +69,17 @@ class _Codegen(codegen.AOTCPUCodegen):
         """Do nothing: the compiled code does not run in this process."""
 
 
-class BarePackageFinder:
+class PackageWithoutInitFinder:
     """Import finder that finds packages without their __init__, because a build needs neither chip classes nor Gymnasium."""
 
-    def __init__(self, places: dict[str, str]):
-        self._places = {name: Path(folder) for name, folder in places.items()}
+    def __init__(self, package_folders: dict[str, str]):
+        self._package_folders = {name: Path(folder) for name, folder in package_folders.items()}
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """Return the specification of a package without its __init__; None for other modules."""
         if name == "stage.native":
             return None
-        for prefix, folder in self._places.items():
+        for prefix, folder in self._package_folders.items():
             if name == prefix or name.startswith(f"{prefix}."):
                 inside = folder.joinpath(*name[len(prefix) + 1 :].split("."))
                 if inside.is_dir():
@@ -213,13 +213,13 @@ def _emit_next_part(next_part: Any, parts: list[list[str]], context: Any) -> Non
 def main() -> int:
     """Compile the parts of a job, which is JSON on standard input.
 
-    A job is {"places": package -> folder, "processor": ..., "workers": ..., "parts": [[object, module, ...], ...]}. Each worker is
-    a copy of this process, with all imports done. A worker that is free compiles the next part.
+    A job is {"package_folders": package -> folder, "processor": ..., "workers": ..., "parts": [[object, module, ...], ...]}.
+    Each worker is a copy of this process, with all imports done. A worker that is free compiles the next part.
     """
     gc.disable()  # nearly all that is made is kept to the end: looking for the rest takes a sixth of the time
     sys.modules["scipy"] = None  # type: ignore[assignment]  # numba would look for a BLAS in it, and import most of it
     job = json.load(sys.stdin)
-    sys.meta_path.insert(0, BarePackageFinder(job["places"]))
+    sys.meta_path.insert(0, PackageWithoutInitFinder(job["package_folders"]))
     context = make_context(job["processor"])
     fork = get_context("fork")
     next_part = fork.Value("q")

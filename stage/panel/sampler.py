@@ -22,7 +22,7 @@ import numpy as np
 
 from stage.errors import ArgumentError, unknown_name_error
 from stage.recording.axis_series import SERIES, Series, describe_series, select_series
-from stage.sim import stage_handle
+from stage.sim import compiled_stage_access
 from stage.sim.engine_records import SAMPLE
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ class Sampler:
     def _attach_to_engine(self, stage: Stage) -> None:
         stage.prepare_change()
         stage.loop.recording, self._followers = self, []
-        stage_handle.set_sample_buffers(stage.state.handle, self)
+        compiled_stage_access.set_sample_buffers(stage.state.handle, self)
         stage.state.clockwork[0].sample_every = 1
         stage.state.world[0].to_sample = 1
 

@@ -1,4 +1,4 @@
-"""`StageLock`: a lock for a stage that several threads use. It is fair and re-entrant, and can be reserved for one thread.
+"""`FairStageLock`: a lock for a stage that several threads use. It is fair and re-entrant, and can be reserved for one thread.
 
     with lock:                 first come, first served; a thread that holds the lock may enter again
         lock.wait(0.02)        other threads may hold it for 20 ms, or until `notify_all()`
@@ -17,7 +17,7 @@ from time import monotonic
 from stage.errors import StageError
 
 
-class StageLock:
+class FairStageLock:
     """Fair, re-entrant lock of a stage, which can be reserved for one thread. Times are in real seconds."""
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class StageLock:
         self._acting: set[int] = set()
         self._exempt: set[int] = set()  # threads that may leave though they have not got the lock
 
-    def __enter__(self) -> StageLock:
+    def __enter__(self) -> FairStageLock:
         if self._acquire(False):
             if self._depth or self._is_open:
                 self._depth += 1

@@ -20,8 +20,8 @@ import numpy as np
 
 from stage.chips.chip import Chip
 from stage.chips.cycle_descriptions import CycleDescriber
-from stage.chips.diagnostics import Diagnostic
 from stage.chips.journal_entries import LOST, READ, RESET, WRITE, Entry
+from stage.chips.write_diagnostics import Diagnostic
 from stage.panel.session import Session
 from stage.sim.stage import Snapshot, Stage
 

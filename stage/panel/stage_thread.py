@@ -35,7 +35,7 @@ import numpy as np
 from stage.errors import SimulationError, StageError
 from stage.panel.real_time_clock import MAX_LAG_S, SLICE_S, RealTimeClock
 from stage.panel.snapshot_history import SnapshotHistory
-from stage.panel.stage_lock import StageLock
+from stage.panel.stage_lock import FairStageLock
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
 from stage.units import POSITION_UNITS
@@ -131,7 +131,7 @@ class StageThread:
         if stage.loop.lock is not None:
             raise StageError("this stage has a session already: close that one first.")
         self.stage, self.program, self.program_suspended = stage, program, False
-        self.lock, self.changed = StageLock(), threading.Condition()
+        self.lock, self.changed = FairStageLock(), threading.Condition()
         self._clock, self._history = RealTimeClock(speed, stage.now), SnapshotHistory()
         self._paused, self._trouble = paused, ""
         self._closed = self._ending = self._unpaced = self._jumped = False
@@ -276,7 +276,7 @@ class StageThread:
             self.lock.reserve(0)
             self._refuse_waiting_orders()
 
-    def _share_lock(self, lock: StageLock | None) -> None:
+    def _share_lock(self, lock: FairStageLock | None) -> None:
         """Let the stage and its chips use a lock, or none (None)."""
         self.stage.loop.lock = lock
         for chip in self.stage.chips:

@@ -112,7 +112,7 @@ class Tour:
     def observe(self, stage: Stage) -> None:
         """Observe the stage after a slice. The stage's thread calls this."""
         for axis in stage.axes.values():
-            self._follow_axis(axis, stage.time)
+            self._sample_axis_motion(axis, stage.time)
         step = self.step
         if step is not None and step.done(self):
             self.skip()
@@ -127,7 +127,8 @@ class Tour:
         for run in self._running_axes.values():
             run.began_before_step = True
 
-    def _follow_axis(self, axis: Axis, now: float) -> None:
+    def _sample_axis_motion(self, axis: Axis, now: float) -> None:
+        """Sample the pulses and lost steps of an axis at the time `now`, s, if SAMPLE_TIME_S has passed since the last sample."""
         _, net = axis.read_drive()
         before, then = self._pulses.get(axis.name, (net, now))
         lost = axis.lost_steps

@@ -258,15 +258,17 @@ class _Requests(Generic[_W, _R]):
         Raises:
             ValueError: The server's board has no such axis or line.
         """
-        known = self.get_lines().get(axis)
+        known = self.get_step_dir_lines().get(axis)
         if known is None:
-            raise ValueError(f"{axis!r}: STEP/DIR axes of the server are {', '.join(self.get_lines()) or 'none'}.")
+            raise ValueError(
+                f"{axis!r}: STEP/DIR axes of the server are {', '.join(self.get_step_dir_lines()) or 'none'}."
+            )
         for line in lines:
             if line not in known["bits"]:
                 raise ValueError(f"{line!r}: lines of axis {axis} are {', '.join(known['bits'])}.")
         return known["chip"], [known["bits"][line] for line in lines]
 
-    def get_lines(self) -> dict[str, Any]:
+    def get_step_dir_lines(self) -> dict[str, Any]:
         """Return the lines of each STEP/DIR axis, as the server describes them."""
         raise NotImplementedError
 
@@ -308,11 +310,11 @@ class Batch(_Requests["Batch", "Batch"]):
 
     _request_write = _request_read = add
 
-    def get_lines(self) -> dict[str, Any]:
+    def get_step_dir_lines(self) -> dict[str, Any]:
         """Return the lines of each STEP/DIR axis, as the server describes them."""
         if self._client is None:
             raise ValueError(NO_CONNECTION)
-        return self._client.get_lines()
+        return self._client.get_step_dir_lines()
 
     def __len__(self) -> int:
         return len(self._entries) // ENTRY.size
@@ -392,7 +394,7 @@ class Client(_Requests[None, int]):
         """Read whether a line of a STEP/DIR axis is asserted, such as limit_plus, in one bus cycle."""
         return bool(self.read_lines(axis) & self.find_lines(axis, [line])[1][0])
 
-    def get_lines(self) -> dict[str, Any]:
+    def get_step_dir_lines(self) -> dict[str, Any]:
         """Return the lines of each STEP/DIR axis, as the server describes them."""
         return dict(self.about["lines"])
 

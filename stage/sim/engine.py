@@ -21,6 +21,25 @@ from stage.chips import core_interface, linked_chips
 from stage.chips.journal_entries import LOAD, SHAFT
 from stage.drives import drive_dispatch, stepper
 from stage.native import array_at, declare_address_call, exported, hot, least
+from stage.sim.compiled_stage_access import (
+    ENGINE,
+    HANDLE,
+    REAL,
+    claim,
+    get_axes,
+    get_axis_table,
+    get_chip_table,
+    get_clockwork,
+    get_drives,
+    get_qpos,
+    get_qvel,
+    get_switch_table,
+    get_switches,
+    get_world,
+    has_edge_room,
+    note_edge,
+    release,
+)
 from stage.sim.engine_records import (
     ADDRESS,
     CALLBACKS,
@@ -40,25 +59,6 @@ from stage.sim.engine_records import (
     UNGUARDED,
     WIPED,
     compute_clock_at,
-)
-from stage.sim.stage_handle import (
-    ENGINE,
-    HANDLE,
-    REAL,
-    claim,
-    get_axes,
-    get_axis_table,
-    get_chip_table,
-    get_clockwork,
-    get_drives,
-    get_qpos,
-    get_qvel,
-    get_switch_table,
-    get_switches,
-    get_world,
-    has_edge_room,
-    note_edge,
-    release,
 )
 from stage.sim.switch_edges import (
     apply_index_pulse,
@@ -238,7 +238,7 @@ def _write_axis_sample(handle, axis_index, effort, sample):
     )
     sample.voltage = drive_dispatch.compute_voltage(d, effort)
     sample.current_a, sample.current_b = d.current_a, d.current_b
-    sample.rate = core_interface.compute_pulse_rate(chip, j, chip.hz)
+    sample.rate = core_interface.read_pulse_rate(chip, j, chip.hz)
     sample.pulses, sample.counter = net, core_interface.read_counter(chip, j)
     sample.lost_steps = drive_dispatch.count_lost_steps(d, net, theta)
     sample.inputs, sample.outputs = core_interface.read_inputs(chip, j), core_interface.read_outputs(chip, j)

@@ -47,7 +47,7 @@ CLOCKWORK = record(
 )
 """Constants of a stage's time.
 
-busy: Token of whoever runs the stage, see `claim` of stage.sim.stage_handle; the first field.
+busy: Token of whoever runs the stage, see `claim` of stage.sim.compiled_stage_access; the first field.
 dt, slices, h, half: Window, ns; slices in it; a slice and half a window, s.
 nv: Degrees of freedom.
 sample_every: Physics steps per sample, 0 for none.

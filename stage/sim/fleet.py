@@ -21,8 +21,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, StageError, unknown_name_error
-from stage.sim import engine, engine_records, program_player, stage_handle
-from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
+from stage.sim import compiled_stage_access, engine, engine_records, program_player
+from stage.sim.program import (
+    AWAIT_STOP,
+    AWAIT_STOP_OR_LOST_STEP,
+    END,
+    MEASURE,
+    NAMES,
+    READ,
+    SAMPLE_POSITION,
+    WAIT,
+    WRITE,
+    Program,
+)
 from stage.sim.stage import Stage
 from stage.sim.stage_loop import IN_USE
 from stage.support.argument_checks import explain_arguments
@@ -114,12 +125,12 @@ class Fleet:
         self._nq, self._axes = first.model.nq, len(first.axes)
         self._points = min(s.model.nsite for s in stages), min(s.model.nbody for s in stages)
         self._process = os.getpid()
-        self.handles = np.zeros(len(self.stages), stage_handle.HANDLE)
+        self.handles = np.zeros(len(self.stages), compiled_stage_access.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), program_player.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
         self._background: _BackgroundPlay | None = None
         for k, stage in enumerate(self.stages):
-            stage_handle.fill_handle(self.handles, k, stage.state)
+            compiled_stage_access.fill_handle(self.handles, k, stage.state)
         self.handles["state"] = 0  # nobody takes a step back
         self._first = self.handles.ctypes.data
 
@@ -297,8 +308,13 @@ class Fleet:
         return self._pool
 
 
-AXIS_OPERATIONS = (WRITE, READ, LOOK)
-TIME_OPERANDS = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3), KEEP: (2, 3)}  # which of an operation's numbers are ns
+AXIS_OPERATIONS = (WRITE, READ, SAMPLE_POSITION)
+TIME_OPERANDS = {
+    WAIT: (1,),
+    MEASURE: (1,),
+    AWAIT_STOP: (2, 3),
+    AWAIT_STOP_OR_LOST_STEP: (2, 3),
+}  # which of an operation's numbers are ns
 
 
 def check_programs(
@@ -347,12 +363,16 @@ def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, 
     last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
     bad = (kind < 0) | (kind >= len(NAMES))
     bad |= np.isin(kind, AXIS_OPERATIONS) & ((a < 0) | (a >= len(axes)))
-    bad |= np.isin(kind, (STOP, KEEP)) & ((a < 0) | (a >= 1 << len(axes)) | (operations[:, :, 2] < 1))
+    bad |= np.isin(kind, (AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP)) & (
+        (a < 0) | (a >= 1 << len(axes)) | (operations[:, :, 2] < 1)
+    )
     for timed, numbers in TIME_OPERANDS.items():
         for n in numbers:
             bad |= (kind == timed) & ((operations[:, :, n] < 0) | (operations[:, :, n] > MAX_TIME_NS))
-    bad |= np.isin(kind, (MEASURE, LOOK)) & ((operations[:, :, 2] > site_count) | (operations[:, :, 2] <= -body_count))
-    bad |= (kind == LOOK) & ((operations[:, :, 3] < 0) | (operations[:, :, 3] > 2))
+    bad |= np.isin(kind, (MEASURE, SAMPLE_POSITION)) & (
+        (operations[:, :, 2] > site_count) | (operations[:, :, 2] <= -body_count)
+    )
+    bad |= (kind == SAMPLE_POSITION) & ((operations[:, :, 3] < 0) | (operations[:, :, 3] > 2))
     bad &= ~last
     if bad.any():
         k, j = (int(n) for n in np.argwhere(bad)[0])
@@ -361,7 +381,7 @@ def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, 
         point = (
             f" A point is 1 + the index of a site, up to {site_count}, or - that of a body, from {1 - body_count} on."
         )
-        point = point if op[0] == MEASURE or (op[0] == LOOK and any(op[2:])) else ""
+        point = point if op[0] == MEASURE or (op[0] == SAMPLE_POSITION and any(op[2:])) else ""
         raise ArgumentError(
             f"program {k}, operation {j}: {name} {tuple(op[1:])}. Axes are given by their index, 0 to {len(axes) - 1} "
             f"({', '.join(axes)}), several as a mask of bits; times are 0 to 1e9 s, in ns, and a poll takes 1 ns or more.{point}"

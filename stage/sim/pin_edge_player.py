@@ -9,8 +9,8 @@ import numpy as np
 from stage.chips.exclusive_access import exclusively
 from stage.errors import ArgumentError
 from stage.native import address_of
+from stage.sim.compiled_pin_edge_player import LINE_EDGE, LINE_PLAYER, OBSERVED_AXIS, SWITCH_EDGE, play_line_edges
 from stage.sim.engine_records import PINS
-from stage.sim.pin_edges import LINE_EDGE, LINE_PLAYER, OBSERVED_AXIS, SWITCH_EDGE, play_line_edges
 
 if TYPE_CHECKING:
     from stage.sim.stage import Stage

@@ -5,14 +5,17 @@ A program is an array of operations, each of four int64 (kind, a, b, c):
     WRITE    axis, address, value     one bus write cycle; its time passes first
     READ     axis, address, -         one bus read cycle; its value is the operation's result
     WAIT     ns, -, -
-    STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none is in motion; the result is the duration
+    AWAIT_STOP
+             mask, poll ns, limit ns  poll the status of the axes in `mask` until none is in motion; the result is the duration
                                       in ns, negative if `limit` passed first
-    KEEP     mask, poll ns, limit ns  as STOP, and the program ends if an axis in `mask` loses a step; the result is then the
-                                      negative duration up to that time
+    AWAIT_STOP_OR_LOST_STEP
+             mask, poll ns, limit ns  as AWAIT_STOP, and the program ends if an axis in `mask` loses a step; the result is then
+                                      the negative duration up to that time
     MEASURE  ns, point, -             wait, and store the least and the greatest value of each coordinate; with a point (1 + the
                                       index of a site, or minus the index of a body) the result is the point's travel in pm: the
                                       diagonal of the smallest box around its path
-    LOOK     axis, point, coordinate  the result is the position of the axis in pm (prad on a hinge); with a point, as of MEASURE,
+    SAMPLE_POSITION
+             axis, point, coordinate  the result is the position of the axis in pm (prad on a hinge); with a point, as of MEASURE,
                                       the result is the point's world coordinate 0 to 2
     END      -, -, -                  end of the program
 
@@ -31,8 +34,8 @@ from stage.support.argument_checks import WrongType, explain_arguments
 if TYPE_CHECKING:
     from stage.chips import Chip
 
-NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK", "KEEP")
-END, WRITE, READ, WAIT, STOP, MEASURE, LOOK, KEEP = range(8)
+NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK", "KEEP")  # in error messages
+END, WRITE, READ, WAIT, AWAIT_STOP, MEASURE, SAMPLE_POSITION, AWAIT_STOP_OR_LOST_STEP = range(8)
 MAX_AXES = 62  # bits of a mask
 
 
@@ -157,14 +160,16 @@ class Program(Operations):
         return self
 
     @explain_arguments
-    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4, keep_step: bool = False) -> Self:
+    def until_stopped(
+        self, axes: Sequence[int], limit: float, poll: float = 2.5e-4, end_on_lost_step: bool = False
+    ) -> Self:
         """Add a poll until none of the axes is in motion; its result is the duration in ns, negative if the limit passed first.
 
         Args:
             axes: Indices of the axes.
             limit: Simulated time to wait, s.
             poll: Simulated time between two polls, s.
-            keep_step: Whether to end the program at the first step that one of the axes loses; the result is then negative, too.
+            end_on_lost_step: Whether to end the program at the first step that one of the axes loses; the result is then negative.
 
         Raises:
             ArgumentError: An axis is out of range.
@@ -173,7 +178,14 @@ class Program(Operations):
         if not all(0 <= a < MAX_AXES for a in indices):
             raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
         mask = sum(1 << a for a in indices)
-        self.ops.append((KEEP if keep_step else STOP, mask, _to_ns("poll", poll), _to_ns("limit", limit)))
+        self.ops.append(
+            (
+                AWAIT_STOP_OR_LOST_STEP if end_on_lost_step else AWAIT_STOP,
+                mask,
+                _to_ns("poll", poll),
+                _to_ns("limit", limit),
+            )
+        )
         return self
 
     def sample_position(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
@@ -184,7 +196,9 @@ class Program(Operations):
             point: 0 for the position of the axis; else a point as in `measure`, sampled at the beginning of the physics step.
             coordinate: Coordinate of the point in the world, 0 to 2.
         """
-        self.ops.append((LOOK, _to_int("axis", axis), _to_int("point", point), _to_int("coordinate", coordinate)))
+        self.ops.append(
+            (SAMPLE_POSITION, _to_int("axis", axis), _to_int("point", point), _to_int("coordinate", coordinate))
+        )
         return self
 
     def measure(self, seconds: float, point: int = 0) -> Self:

@@ -16,9 +16,7 @@ from stage.drives import drive_dispatch
 from stage.errors import SimulationError
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import engine_records
-from stage.sim.engine import advance
-from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WAIT, WRITE
-from stage.sim.stage_handle import (
+from stage.sim.compiled_stage_access import (
     HANDLE,
     REAL,
     get_axis_table,
@@ -29,6 +27,8 @@ from stage.sim.stage_handle import (
     get_qvel,
     get_world,
 )
+from stage.sim.engine import advance
+from stage.sim.program import AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP, END, MEASURE, READ, SAMPLE_POSITION, WAIT, WRITE
 
 PLAYED, DIVERGED = engine_records.REACHED, engine_records.DIVERGED
 """How a program ended: as it says, or where the stage diverged. Or why it did not: records.IN_USE and the like."""
@@ -85,7 +85,7 @@ def _has_lost_step(handle, axis_mask):
 
 
 @hot
-def _poll_until_stopped(handle, axis_mask, poll_ns, limit_ns, keep_step):
+def _poll_until_stopped(handle, axis_mask, poll_ns, limit_ns, end_on_lost_step):
     """Poll the status of the axes in a mask until none is in motion.
 
     Returns:
@@ -102,7 +102,7 @@ def _poll_until_stopped(handle, axis_mask, poll_ns, limit_ns, keep_step):
                 if not core_interface.is_busy(get_chip_table(handle)[axes[k].chip], axes[k].chip_axis):
                     left &= ~(1 << k)
         took = w.now - begin
-        if keep_step and _has_lost_step(handle, axis_mask):
+        if end_on_lost_step and _has_lost_step(handle, axis_mask):
             return STEP_LOST, -took
         if left == 0 or took >= limit_ns:
             return 0, took if left == 0 else -took
@@ -159,9 +159,9 @@ def play_program(handle, ops, results, extremes):
         bad = 0
         if kind == END:
             break
-        if kind == STOP:
+        if kind == AWAIT_STOP:
             bad, results[j] = _poll_until_stopped(handle, a, b, c, False)
-        elif kind == KEEP:
+        elif kind == AWAIT_STOP_OR_LOST_STEP:
             bad, results[j] = _poll_until_stopped(handle, a, b, c, True)
             if bad == STEP_LOST:
                 break
@@ -169,14 +169,14 @@ def play_program(handle, ops, results, extremes):
             bad, results[j] = _measure_extremes(handle, w.now + a, b, extremes)
         elif kind == WAIT:
             bad = _advance_unless_halted(handle, w.now + a)
-        elif kind == LOOK and b:
+        elif kind == SAMPLE_POSITION and b:
             sites, bodies = (
                 array_at(handle.sites, (handle.n_sites, 3), REAL),
                 array_at(handle.bodies, (handle.n_bodies, 3), REAL),
             )
             at = sites[b - 1] if b > 0 else bodies[-b]
             results[j] = math.floor(at[c] * 1e12)
-        elif kind == LOOK:
+        elif kind == SAMPLE_POSITION:
             tau = (w.now - w.start - 0.5 * get_clockwork(handle).dt) * 1e-9
             q, v = get_qpos(handle)[axes[a].qpos], get_qvel(handle)[axes[a].dof]
             results[j] = math.floor((q + v * tau) * 1e12)
@@ -282,7 +282,7 @@ class _OperationRunner:
     """Runner of a program's operations on one stage, through the bus cycles of its chips; it has a method for each operation.
 
     Attributes:
-        step_lost: Whether an operation KEEP has ended the program because an axis has lost a step.
+        step_lost: Whether AWAIT_STOP_OR_LOST_STEP has ended the program because an axis has lost a step.
     """
 
     def __init__(self, stage: Any, extremes: np.ndarray):
@@ -301,14 +301,14 @@ class _OperationRunner:
         """Let simulated time pass."""
         self.stage.run_to(self.stage.now + ns)
 
-    def wait_for_stop(self, mask: int, poll: int, limit: int, keep_step: bool = False) -> int:
+    def wait_for_stop(self, mask: int, poll: int, limit: int, end_on_lost_step: bool = False) -> int:
         """Poll until no axis in the mask is in motion; return the duration in ns, negative after the limit."""
         stage, begin = self.stage, self.stage.now
         axes = [axis for k, axis in enumerate(self.axes) if mask >> k & 1]
         left = axes
         while True:
             left = [axis for axis in left if axis.chip.busy(axis.chip_axis)]
-            self.step_lost = keep_step and any(axis.lost_steps for axis in axes)
+            self.step_lost = end_on_lost_step and any(axis.lost_steps for axis in axes)
             if not left and not self.step_lost:
                 return int(stage.now - begin)
             if self.step_lost or stage.now - begin >= limit:
@@ -317,7 +317,7 @@ class _OperationRunner:
 
     def wait_while_in_step(self, mask: int, poll: int, limit: int) -> int:
         """Poll as `wait_for_stop` does, and end the program if an axis loses a step."""
-        return self.wait_for_stop(mask, poll, limit, keep_step=True)
+        return self.wait_for_stop(mask, poll, limit, end_on_lost_step=True)
 
     def _find_point_position(self, point: int) -> np.ndarray:
         """Return the world position of a measured point, m, (3,)."""
@@ -360,8 +360,9 @@ def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: n
     """
     player = _OperationRunner(stage, extremes)
     play_operation: dict[int, Any] = {
-        WRITE: player.write, READ: player.read, WAIT: player.wait, STOP: player.wait_for_stop, KEEP: player.wait_while_in_step,
-        LOOK: player.sample_position, MEASURE: player.measure,
+        WRITE: player.write, READ: player.read, WAIT: player.wait,
+        AWAIT_STOP: player.wait_for_stop, AWAIT_STOP_OR_LOST_STEP: player.wait_while_in_step,
+        SAMPLE_POSITION: player.sample_position, MEASURE: player.measure,
     }  # fmt: skip
     try:
         for j, (kind, *operands) in enumerate(ops.tolist()):

@@ -28,7 +28,15 @@ from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown_name_error
-from stage.sim import encoder, engine, engine_records, integration_checks, mujoco_callbacks, plant, stage_handle
+from stage.sim import (
+    compiled_stage_access,
+    encoder,
+    engine,
+    engine_records,
+    integration_checks,
+    mujoco_callbacks,
+    plant,
+)
 from stage.sim.axis import Axes, Axis, format_axes_table
 from stage.sim.bus_device_state import DeviceState
 from stage.sim.chip_and_drive_assignment import ChipChoice, DriveChoice, choose_chips_and_drives, fit_rotors
@@ -130,8 +138,8 @@ class Stage:
         names: list[str],
         chip_axes: list[ChipAxis],
         drives: list[Drive | Servo],
-        bus: int,
-        offset: int,
+        bus_cycle_ns: int,
+        state_offset: int,
         wiring: WiringChoice,
     ) -> None:
         """Build the axes and the state of the stage from its chips and drives."""
@@ -139,7 +147,7 @@ class Stage:
         self._positive = choose_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
         self._mechanics = compute_mechanics_digest(self.model)
-        self._build_state(chip_axes, drives, bus, offset)
+        self._build_state(chip_axes, drives, bus_cycle_ns, state_offset)
         for k, d in enumerate(drives):
             d.fill_record(self.state.drives[k])
         mujoco_callbacks.forward_guarded(self.model, self.data)
@@ -149,14 +157,16 @@ class Stage:
         self.run_to(0)
         self._initial = self.snapshot()
 
-    def _build_state(self, chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus: int, offset: int) -> None:
+    def _build_state(
+        self, chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus_cycle_ns: int, state_offset: int
+    ) -> None:
         """Lay the state out in userdata, and connect chips, drives and wires to it.
 
         Args:
             chip_axes: Axis of a chip for each axis of the stage.
             drives: Drive of each axis.
-            bus: Duration of a bus cycle, ns.
-            offset: Word of userdata at which the state begins.
+            bus_cycle_ns: Duration of a bus cycle, ns.
+            state_offset: Word of userdata at which the state begins.
         """
         self._inherited: list[str] = []  # the faults, in words, of the stage that this is a copy of
         self.active_faults: list[Any] = []
@@ -169,7 +179,7 @@ class Stage:
             tuple(dict.fromkeys(chip_of[name] for name in self._linked)),
         )
         per_unit = encoder.list_counts_per_unit(self._encoders, self._plant)
-        self.state = State(self.model, offset, self._plant, chip_axes, drives, bus, per_unit, wires)
+        self.state = State(self.model, state_offset, self._plant, chip_axes, drives, bus_cycle_ns, per_unit, wires)
         for follower, leader in wires.leaders.items():
             follower.syni = leader
         self.data, self.chips = self.state.data, list_chips(chip_axes)
@@ -620,13 +630,13 @@ class Stage:
         """
         self.prepare_change()
         self.loop.recording = recording
-        stage_handle.set_sample_buffers(self.state.handle, recording)
+        compiled_stage_access.set_sample_buffers(self.state.handle, recording)
         self.state.clockwork[0].sample_every = self.state.world[0].to_sample = steps
 
     def stop_recording(self) -> None:
         """Stop filling the buffers of a recording. `Recording.close` is the usual way."""
         self.loop.recording = None
-        stage_handle.set_sample_buffers(self.state.handle, None)
+        compiled_stage_access.set_sample_buffers(self.state.handle, None)
         self.state.clockwork[0].sample_every = 0
 
     # --- a page ---

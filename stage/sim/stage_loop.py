@@ -21,8 +21,8 @@ from stage.chips.exclusive_access import SessionLock
 from stage.chips.journal_entries import LOAD, PACKED, SHAFT
 from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import engine, engine_records, mujoco_callbacks
+from stage.sim.compiled_stage_access import make_claim_token
 from stage.sim.procedure_threads import MIN_WAIT_NS, ProcedureSchedule
-from stage.sim.stage_handle import make_claim_token
 from stage.sim.stage_state import POWERED, SAVED, START, State
 
 MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1  # s of real time, a piece of a long run takes between them

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from stage.chips.diagnostics import parse_diagnostics
+from stage.chips.write_diagnostics import parse_diagnostics
 from stage.drives.stepper import DRIVE
 from stage.sim import engine_records
 from stage.support import snapshots

@@ -20,8 +20,8 @@ from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
 from stage.native import address_of, without_attributes
+from stage.sim import compiled_stage_access as handle
 from stage.sim import engine_records, mujoco_callbacks, mujoco_function_addresses
-from stage.sim import stage_handle as handle
 from stage.sim.plant import PlantAxis
 from stage.sim.wiring_arguments import Wires
 

@@ -5,17 +5,7 @@ from __future__ import annotations
 from stage.chips import core_interface
 from stage.chips.journal_entries import INPUT
 from stage.native import array_at, floor, hot, least
-from stage.sim.engine_records import (
-    FLAG_EDGE,
-    HYSTERESIS,
-    INDEX,
-    INDEX_HYSTERESIS,
-    NEVER,
-    SECOND,
-    TURN,
-    compute_clock_at,
-)
-from stage.sim.stage_handle import (
+from stage.sim.compiled_stage_access import (
     get_axes,
     get_axis_table,
     get_clockwork,
@@ -27,6 +17,16 @@ from stage.sim.stage_handle import (
     get_world,
     has_edge_room,
     note_edge,
+)
+from stage.sim.engine_records import (
+    FLAG_EDGE,
+    HYSTERESIS,
+    INDEX,
+    INDEX_HYSTERESIS,
+    NEVER,
+    SECOND,
+    TURN,
+    compute_clock_at,
 )
 
 UNREACHED = 1e300  # joint travel to an edge that is not ahead

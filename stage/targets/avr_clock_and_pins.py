@@ -10,7 +10,7 @@ import numpy as np
 
 from stage.board.bus.host_record import HOST, IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES, UNTIL
 from stage.native import array_at, declare_address_call, exported, hot, record
-from stage.sim.stage_handle import INTEGER
+from stage.sim.compiled_stage_access import INTEGER
 from stage.targets.processor_clock_and_bus_cycles import (
     PROCESSOR_FIELDS,
     advance_board,

@@ -12,7 +12,7 @@ import numpy as np
 from stage.board.bus.host_record import HOST, LOG, READ_SERIAL, SEND_SERIAL, TAKE
 from stage.board.bus.serial_core import LINE, SECOND
 from stage.native import array_at, declare_address_call, exported, greatest, hot, record
-from stage.sim.stage_handle import INTEGER
+from stage.sim.compiled_stage_access import INTEGER
 from stage.targets.avr_clock_and_pins import AVR, get_cycle_count
 from stage.targets.processor_clock_and_bus_cycles import advance_board, request
 

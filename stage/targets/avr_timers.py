@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.native import array_at, declare_address_call, exported, greatest, hot, record
-from stage.sim.stage_handle import INTEGER
+from stage.sim.compiled_stage_access import INTEGER
 
 SIMAVR = record(
     [(name, "i8") for name in "avr cycle cycles_left response memory flash pc vectors n_vectors event".split()]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, get_now
 from stage.native import array_at, declare_address_call, exported, greatest, hot, least, record
-from stage.sim.stage_handle import INTEGER
+from stage.sim.compiled_stage_access import INTEGER
 
 PROCESSOR_FIELDS = [(name, "i8") for name in "host request hz begin waits watched line ended code".split()]
 """Fields that the record of every processor begins with:

@@ -229,7 +229,7 @@ class LoadedAvr:
         self._skip_needless_checks()
         drives_lines = any("step" in chip.INPUTS for chip in board.stage.chips)
         self._lines = AvrLines(program.lines, self, board) if drives_lines else None
-        self._connect_serial_lines()
+        self._connect_uarts_to_log_and_board()
 
     def _call_library(self, name: str, *arguments: Any) -> Any:
         """Call a function of simavr for this AVR."""
@@ -373,7 +373,7 @@ class LoadedAvr:
             ctypes.c_void_p(irq), ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(address_of(row))
         )
 
-    def _connect_serial_lines(self) -> None:
+    def _connect_uarts_to_log_and_board(self) -> None:
         """Connect the serial lines of the program to the log, and the first of them to the board."""
         self._uarts: list[AvrUart] = []
         for name in avr_uart.NAMES:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from stage.chips.diagnostics import describe_mistakes
+from stage.chips.write_diagnostics import describe_mistakes
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
@@ -219,7 +219,7 @@ def check_wiring(axes: Iterable[Axis]) -> None:
 def read_pulse_rate(axis: Axis) -> float:
     """Return the present pulse rate, pps (counts a second for a servo), signed."""
     chip = axis.chip
-    return float(chip.CORE.compute_pulse_rate.c(chip.pointer, axis.chip_axis, float(chip.clock_hz)))
+    return float(chip.CORE.read_pulse_rate.c(chip.pointer, axis.chip_axis, float(chip.clock_hz)))
 
 
 def read_velocity(axis: Axis) -> float:

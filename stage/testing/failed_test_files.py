@@ -16,7 +16,7 @@ import pytest
 import stage as package
 from stage.board.bus.host_record import STRAY
 from stage.chips.cycle_descriptions import decode
-from stage.chips.diagnostics import describe_mistakes
+from stage.chips.write_diagnostics import describe_mistakes
 from stage.errors import StageError
 from stage.recording import Recording
 from stage.sim import plant

@@ -6,7 +6,7 @@ import pytest
 
 from stage.agents.host_diagnostics import MAX_DIAGNOSTICS
 from stage.agents.picture_tool import hide_truth
-from stage.firmware.plot_move import draw_operation_pattern
+from stage.firmware.operation_pattern_figure import draw_operation_pattern
 from stage.sim import faults
 
 HIDDEN = ("lost_steps", "load_angle", "position", "el_plus", "peak_rate")

@@ -4,7 +4,7 @@ import pytest
 
 from stage.agents.host_diagnostics import find_readable_pins
 from stage.agents.picture_tool import hide_truth
-from stage.firmware import plot_move
+from stage.firmware import operation_pattern_figure
 
 
 @pytest.fixture
@@ -21,7 +21,9 @@ def figures(monkeypatch):
             self.saved = (format, dpi)
             out.write(b"drawing %d" % len(created))
 
-    monkeypatch.setattr(plot_move, "draw_operation_pattern", lambda report, pins=None: Figure(report, pins))
+    monkeypatch.setattr(
+        operation_pattern_figure, "draw_operation_pattern", lambda report, pins=None: Figure(report, pins)
+    )
     return created
 
 
@@ -55,7 +57,9 @@ def test_the_picture_of_a_line_shows_the_axis_with_the_most_pulses(make_box, fig
 def test_of_a_line_the_truth_shows_how_straight_it_was(make_box, figures, monkeypatch):
     box = make_box(mode="truth")
     box.call("line", LINE)
-    monkeypatch.setattr(type(box.report), "plot", lambda report: plot_move.draw_operation_pattern(report))
+    monkeypatch.setattr(
+        type(box.report), "plot", lambda report: operation_pattern_figure.draw_operation_pattern(report)
+    )
     assert box.call("picture").text == "a line: its distance from the straight one, and the rates"
     assert figures[-1].report is box.report
 

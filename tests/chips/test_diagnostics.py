@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.chips.diagnostics import MAX_DIAGNOSTICS, Rule, list_rules
 from stage.chips.hctl1100 import lint as hctl1100_lint
 from stage.chips.nova import lint as nova_lint
 from stage.chips.pcl240 import lint as pcl240_lint
 from stage.chips.stepdir import lint as stepdir_lint
+from stage.chips.write_diagnostics import MAX_DIAGNOSTICS, Rule, list_rules
 
 LINTS = pytest.mark.parametrize(
     "lint", [pcl240_lint, nova_lint, hctl1100_lint, stepdir_lint], ids=lambda m: m.__name__.split(".")[2]

@@ -15,7 +15,7 @@ def asked(rows, i, hz):
     """net, counter, pulse rate, busy, inputs, status, R14 as it reads."""
     c = rows[i]
     return (
-        core.read_net_count(c, 0), core.read_counter(c, 0), core.compute_pulse_rate(c, 0, hz), core.is_busy(c, 0),
+        core.read_net_count(c, 0), core.read_counter(c, 0), core.read_pulse_rate(c, 0, hz), core.is_busy(c, 0),
         core.read_inputs(c, 0), core.read_status(c, 0), core.peek(c, 0x14),
     )  # fmt: skip
 

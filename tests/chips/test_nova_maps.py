@@ -14,7 +14,7 @@ from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.nova.registers.mcx514_words import ACTIONS, FACTORS, HOME_STATES
 from stage.chips.pcl240.maps import PCL240K_MAP, PCL240MS_MAP
-from stage.chips.register_map import COMMAND_KINDS, EVIDENCE, Command, Register, RegisterMap, dump
+from stage.chips.register_map import COMMAND_KINDS, EVIDENCE, ChipCommand, Register, RegisterMap, dump
 from stage.errors import ArgumentError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -331,7 +331,7 @@ def chip_with_a_command(monkeypatch):
     """A chip whose map has the command START, 15h."""
 
     class Commanded(PCL240K):
-        MAP = RegisterMap("COMMANDED", "", "", (), PCL240K_MAP.words, (Command(0x15, "START", "start", "drive"),))
+        MAP = RegisterMap("COMMANDED", "", "", (), PCL240K_MAP.words, (ChipCommand(0x15, "START", "start", "drive"),))
 
         def lint(self, address, value):
             return ()

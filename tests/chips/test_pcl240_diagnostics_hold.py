@@ -101,7 +101,7 @@ def test_where_a_diagnostic_says_that_the_pulses_end_they_end(make):
         if not any("the pulses end" in d.message for d in chip.diagnostics) or not start & 4:
             continue
         chip.advance(1 << 32)
-        if chip.CORE.compute_pulse_rate(chip._rows, 0, 1.0) == 0.0 and not chip.pins.hold:
+        if chip.CORE.read_pulse_rate(chip._rows, 0, 1.0) == 0.0 and not chip.pins.hold:
             endings += chip.advance(1 << 40) == 0
             assert chip.CORE.read_net_count(chip._rows, 0) != 0
     assert endings

@@ -83,7 +83,7 @@ def running(*control, r1=50):
 
 
 def rate(chip):
-    return chip.CORE.compute_pulse_rate(chip._rows[0], 0, float(chip.clock_hz))
+    return chip.CORE.read_pulse_rate(chip._rows[0], 0, float(chip.clock_hz))
 
 
 def test_while_the_last_pulse_is_completed_the_rate_is_that_of_the_run():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stage.chips.register_map import Command, Field, RegisterMap, Word
+from stage.chips.register_map import ChipCommand, Field, RegisterMap, Word
 from stage.errors import ArgumentError
 
 MODE = Word(
@@ -17,10 +17,10 @@ MODE = Word(
 )
 STATUS = Word("status", "what it does", (Field("busy", 0, 0, "drives", access="R"),), address=0)
 GO, READ, STOP, PICK = COMMANDS = (
-    Command(0x10, "GO", "go so far", "data write", bytes=1),
-    Command(0x20, "R-GO", "read how far", "data read", bytes=1),
-    Command(0x30, "STOP", "stop", "drive"),
-    Command(0x40, "PICK", "pick", "other", choice=0b110, chooses=("A", "B")),
+    ChipCommand(0x10, "GO", "go so far", "data write", bytes=1),
+    ChipCommand(0x20, "R-GO", "read how far", "data read", bytes=1),
+    ChipCommand(0x30, "STOP", "stop", "drive"),
+    ChipCommand(0x40, "PICK", "pick", "other", choice=0b110, chooses=("A", "B")),
 )
 MAP = RegisterMap("ACME", "of nobody", "here", (), (MODE, STATUS), COMMANDS)
 

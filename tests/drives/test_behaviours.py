@@ -123,7 +123,7 @@ def overload(seconds, most, inertia):
     time = np.arange(count_slices(1.2)) * SLICE_S
     load = np.where((time >= 0.1) & (time < 0.1 + seconds), most, 0.0)
     counts = compute_mean_counts(np.where(time < 0.5, 5 * DRIVE.pulses_per_turn, 0.0))
-    return simulate_motor(DRIVE, counts, inertia, load, viscous=1e-3, omega=10 * math.pi)
+    return simulate_motor(DRIVE, counts, inertia, load, frame_damping=1e-3, start_speed=10 * math.pi)
 
 
 def test_a_rotor_that_slipped_rests_a_multiple_of_four_full_steps_from_its_target():
@@ -182,7 +182,7 @@ def test_missed_steps_never_repair_themselves():
     rates = np.where(time < 0.1, 16_000.0, 0.0) - np.where((time >= 0.3) & (time < 0.7), 4_000.0, 0.0)
     jam = np.where((time >= 0.05) & (time < 0.058), 0.5, 0.0)
     counts = compute_mean_counts(rates)
-    trace = simulate_motor(DRIVE, counts, ROTOR, jam, viscous=1e-3)
+    trace = simulate_motor(DRIVE, counts, ROTOR, jam, frame_damping=1e-3)
     assert counts[-1] == 0, "as the chip's counter has it, all is well"
     lost = count_lost_steps(DRIVE, trace)
     assert lost > 0
@@ -226,7 +226,7 @@ def test_a_torque_well_below_the_rated_one_is_measured_as_well():
         (lambda: simulate_motor(DRIVE, [0.0], ROTOR, load=[0.1, 0.2]), "load of shape"),
         (lambda: count_steps_lost_in_start(DRIVE, -5, ROTOR), "rate above 0"),
         (lambda: count_steps_lost_in_start(DRIVE, 1000, ROTOR, accel=-1), "from 0 .at once. on"),
-        (lambda: simulate_ring_down(DRIVE, ROTOR, viscous=1.0), "does not ring"),
+        (lambda: simulate_ring_down(DRIVE, ROTOR, frame_damping=1.0), "does not ring"),
     ],
 )
 def test_the_bench_says_what_it_cannot_measure(make, message):
@@ -239,7 +239,7 @@ def test_for_a_motor_that_starts_at_every_rate_the_highest_tried_is_returned(mon
     assert 19_000 * DRIVE.microsteps < find_pull_in_rate(DRIVE, ROTOR) <= 20_000 * DRIVE.microsteps
 
 
-@pytest.mark.parametrize("argument", [{"load": -0.1}, {"viscous": -1e-4}, {"damper": -1e-4}])
+@pytest.mark.parametrize("argument", [{"load": -0.1}, {"frame_damping": -1e-4}, {"flywheel_damping": -1e-4}])
 def test_friction_that_would_give_power_is_refused(argument):
     with pytest.raises(ArgumentError, match="friction takes power: give 0 or more"):
         simulate_motor(DRIVE, np.zeros(4), ROTOR, **argument)

@@ -148,7 +148,9 @@ def test_torque_of_the_field_in_step_is_the_load_and_the_core_loss():
     """Energy balance of a turning motor: the power of the field goes into the brake and the core."""
     drive, speed, load = Drive(LOSSY, 64), 600 * 2 * math.pi / 60, 0.1
     counts = compute_mean_counts(np.full(count_slices(0.6), speed / (2 * math.pi) * drive.pulses_per_turn))
-    trace = simulate_motor(drive, counts, 10 * LOSSY.rotor_inertia, load, 0.0, 0.02, omega=speed)[count_slices(0.4) :]
+    trace = simulate_motor(drive, counts, 10 * LOSSY.rotor_inertia, load, 0.0, 0.02, start_speed=speed)[
+        count_slices(0.4) :
+    ]
     assert trace["omega"].mean() == pytest.approx(speed, rel=1e-4)
     assert trace["torque"].mean() == pytest.approx(load + DAMPING * speed, rel=5e-3)
 

@@ -162,7 +162,7 @@ def test_a_small_number_leaves_the_multiplier_alone():
 def test_the_observation_predicts_the_deviation_of_the_follower_pulses():
     rules = build_rules(30)
     errors, rows = (
-        rules.line.compute_share_errors(rules.requested_lines),
+        rules.line.compute_line_errors(rules.requested_lines),
         rules.line.build_register_rows(rules.compute_data_sheet_registers(), rules.requested_lines),
     )
     for k, d in enumerate(np.abs(rules.distances)):
@@ -181,7 +181,7 @@ def test_the_observation_predicts_the_deviation_of_the_follower_pulses():
 def test_corrections_against_the_observed_errors_bring_the_path_closer_to_the_line():
     """A policy without learning: R1 against the error after the ramp-up, R2 against that at the ramp-down."""
     rules = build_rules(60)
-    errors, zeros = rules.line.compute_share_errors(rules.requested_lines), np.zeros((60, 2, 6))
+    errors, zeros = rules.line.compute_line_errors(rules.requested_lines), np.zeros((60, 2, 6))
     action = zeros.copy()
     action[:, :, 0], action[:, :, 1] = -errors[:, :, 0] / 4, -errors[:, :, 1] / 4
 
@@ -441,7 +441,7 @@ def test_ranges_in_the_ratio_of_the_distances_deviate_like_ideal_axes(chip, axes
         assert m / m.max() == pytest.approx(shares, rel=1e-5)
         assert (row[:, 1:] == row[0, 1:]).all()
         assert (m * row[:, 2]).max() <= rate * (1 + 1e-6)
-    assert abs(rules.line.compute_share_errors(rules.requested_lines)).max() < 0.01
+    assert abs(rules.line.compute_line_errors(rules.requested_lines)).max() < 0.01
 
 
 def test_very_different_distances_still_have_legal_ranges():

@@ -152,32 +152,39 @@ def test_a_picture_is_drawn_into_a_file_or_into_existing_axes(reports, tmp_path)
 
 def test_no_rate_is_labeled_while_the_axis_is_at_rest(reports):
     """firmware.interrupted_move(axis, 20_000).plot(): the pause is no stretch of constant rate"""
-    from stage.firmware import plot_move
+    from stage.firmware import operation_pattern_figure
 
     for name in ("ramping_and_interrupting", "end_limit"):
         report = reports[name]
         t = report.waveforms.seconds - report.began
         assert all(
-            rate > 0 for _, rate in plot_move._find_plateaus(report, {}, t, plot_move._compute_time_range(report, t))
+            rate > 0
+            for _, rate in operation_pattern_figure._find_plateaus(
+                report, {}, t, operation_pattern_figure._compute_time_range(report, t)
+            )
         ), name
 
 
 def test_notes_never_overlap(reports, monkeypatch):
     """The rows of the notes: no text meets another, nor the line of a later one."""
-    from stage.firmware import plot_move
+    from stage.firmware import operation_pattern_figure
     from stage.firmware.driver import get_driver_class
 
     monkeypatch.setattr(
-        plot_move, "_measure_text_width", cache(plot_move._measure_text_width)
+        operation_pattern_figure, "_measure_text_width", cache(operation_pattern_figure._measure_text_width)
     )  # the same words stand in many
     for report in reports.values():
         t = report.waveforms.seconds - report.began
         notes = get_driver_class(report.waveforms.chip).PATTERN_CLASS(report).make_annotations(t)
-        limits, width = plot_move._compute_time_range(report, t), 500.0
-        rows = plot_move._assign_annotation_rows(notes, limits, width)
+        limits, width = operation_pattern_figure._compute_time_range(report, t), 500.0
+        rows = operation_pattern_figure._assign_annotation_rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
         for k, note in enumerate(notes):
-            end = at[k] + plot_move._measure_text_width(note.code, True) + plot_move._measure_text_width(note.words)
+            end = (
+                at[k]
+                + operation_pattern_figure._measure_text_width(note.code, True)
+                + operation_pattern_figure._measure_text_width(note.words)
+            )
             assert all(rows[k] > rows[j] for j in range(k + 1, len(notes)) if at[j] < end)
 
 

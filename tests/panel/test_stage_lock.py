@@ -7,12 +7,12 @@ import pytest
 from support.waiting import wait_until
 
 from stage.errors import StageError
-from stage.panel.stage_lock import StageLock
+from stage.panel.stage_lock import FairStageLock
 
 
 @pytest.fixture
 def lock():
-    return StageLock()
+    return FairStageLock()
 
 
 class LockingThread(threading.Thread):

@@ -256,7 +256,7 @@ def plan_lines(cls, curve):
             "reach": [result.compute_peak_rates_and_ramps(requested), result.compute_peak_rates_and_ramps(steep)], "rows": rows,
             "steep": result.compute_registers(steep), "same": bool(
             (result.apply_corrections(requested, 0 * off) == rows).all()), "changed": changed,
-            "errors": result.compute_share_errors(requested),
+            "errors": result.compute_line_errors(requested),
             "ops": [ops.shape, compute_digest(ops)],
             "starts": [result.find_start_operations(d) for d in distances], "last": result.compute_last_pulse_seconds(changed),
             "pulses": [[len(t), int(t.sum()), t[:1], t[-1:]] for t in times],

@@ -341,7 +341,7 @@ def measure_points():
             )
         ],
         "keep": lambda p: [
-            p.until_stopped([0], 0.02, keep_step=True),
+            p.until_stopped([0], 0.02, end_on_lost_step=True),
             p.until_stopped([1], 0.5, 1e-3, True),
             p.sample_position(0),
         ],

@@ -110,7 +110,7 @@ def write_without_masking(c, address, value):
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate_halved(c, j, hz):
-    return 0.5 * core.compute_pulse_rate(c, j, hz)
+    return 0.5 * core.read_pulse_rate(c, j, hz)
 
 
 @exported(None, STATE)

@@ -232,7 +232,7 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "no words": (EmptyDescriptions, "words", "says ''"),
     "a cycle beyond the bus": (AddressBeyondTheBus, "register_cycles", "is not on the bus"),
     "half the rate": (
-        build_toy(compute_pulse_rate=answers.pulse_rate_halved), "drive_inputs", "pulse_rate is .* a second, and"),
+        build_toy(read_pulse_rate=answers.pulse_rate_halved), "drive_inputs", "pulse_rate is .* a second, and"),
     "a reset that clears the pulse count": (
         build_toy(power_up=answers.power_up_clearing_net), "resets", "changes the count"),
     "a read beyond the data lines": (

@@ -62,7 +62,7 @@ def compute_drive_input(c, j, before, ticks):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, j, clock_hz):
+def read_pulse_rate(c, j, clock_hz):
     return 1.0 * c.ax[j].rate * abs(c.ax[j].direction)
 
 

@@ -1,6 +1,6 @@
 """The register maps of the TOY and the TOY8."""
 
-from stage.chips.register_map import Command, Register, RegisterMap
+from stage.chips.register_map import ChipCommand, Register, RegisterMap
 
 MAP = RegisterMap(
     "TOY",
@@ -12,9 +12,9 @@ MAP = RegisterMap(
     ),
     (),
     commands=(
-        Command(0, "STOP", "stop", "other"),
-        Command(1, "PLUS", "go plus", "drive", starts=True),
-        Command(2, "MINUS", "go minus", "drive", starts=True),
+        ChipCommand(0, "STOP", "stop", "other"),
+        ChipCommand(1, "PLUS", "go plus", "drive", starts=True),
+        ChipCommand(2, "MINUS", "go minus", "drive", starts=True),
     ),
 )
 
@@ -30,7 +30,7 @@ MAP8 = RegisterMap(
     ),
     (),
     tuple(
-        Command(c.code | j << 4, f"{c.symbol}{j}", f"{c.title}, axis {j}", c.kind, starts=c.starts)
+        ChipCommand(c.code | j << 4, f"{c.symbol}{j}", f"{c.title}, axis {j}", c.kind, starts=c.starts)
         for j in range(AXES)
         for c in MAP.commands
     ),

@@ -231,7 +231,7 @@ def test_vactual_makes_internal_steps_and_step_pulses_do_not_count(value):
     make_steps(chip, 5, period_ns=2)
     rate = value * 12e6 / (1 << 24)
     assert chip.net() == pytest.approx(rate / 16, abs=2)
-    assert chip.CORE.compute_pulse_rate(chip.state, 0, 1e9) * 16 == pytest.approx(rate)
+    assert chip.CORE.read_pulse_rate(chip.state, 0, 1e9) * 16 == pytest.approx(rate)
     chip.write_register("VACTUAL", 0)
     before = chip.read_register("MSCNT")
     make_steps(chip, 2)

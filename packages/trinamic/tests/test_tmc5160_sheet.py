@@ -231,7 +231,7 @@ def test_the_sign_of_the_pulse_rate_is_the_direction_of_the_field(chip, shaft):
     chip.advance(500_000)
     before = chip.net()
     chip.advance(120_000)
-    rate = chip.CORE.compute_pulse_rate.c(chip.pointer, 0, float(HZ))
+    rate = chip.CORE.read_pulse_rate.c(chip.pointer, 0, float(HZ))
     assert rate == pytest.approx((chip.net() - before) * HZ / 120_000, abs=2 * HZ / 120_000)
     assert (rate < 0) == bool(shaft)
     assert chip.values()["VACTUAL"] > 0

@@ -220,7 +220,7 @@ def read_counter(c, j):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, j, clock_hz):
+def read_pulse_rate(c, j, clock_hz):
     """Pulses a second."""
     return c.speed * clock_hz / c.hz if c.way else 0.0
 

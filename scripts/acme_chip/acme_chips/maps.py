@@ -1,6 +1,6 @@
 """The register map of the ACME1000 as data: the tables of its data sheet."""
 
-from stage.chips.register_map import Command, Field, Register, RegisterMap, Word
+from stage.chips.register_map import ChipCommand, Field, Register, RegisterMap, Word
 
 SOURCE = "data sheet ACME1000, tables 1 to 3"
 CONTROL = Word(
@@ -39,15 +39,15 @@ MAP = RegisterMap(
     ),
     (CONTROL, STATUS),
     (
-        Command(0x00, "STOP", "stop at once", "other"),
-        Command(0x20, "SLOW", "decelerating stop", "other"),
-        Command(0x15, "MOVE+", "preset move with ramps, plus", "drive", starts=True),
-        Command(0x17, "MOVE-", "preset move with ramps, minus", "drive", starts=True),
-        Command(0x11, "RUN+", "run with ramps, plus", "drive", starts=True),
-        Command(0x13, "RUN-", "run with ramps, minus", "drive", starts=True),
-        Command(0x19, "HOME+", "with ramps to ORG, plus", "drive", starts=True),
-        Command(0x1B, "HOME-", "with ramps to ORG, minus", "drive", starts=True),
-        Command(0x09, "CREEP+", "at START to ORG, plus", "drive", starts=True),
-        Command(0x0B, "CREEP-", "at START to ORG, minus", "drive", starts=True),
+        ChipCommand(0x00, "STOP", "stop at once", "other"),
+        ChipCommand(0x20, "SLOW", "decelerating stop", "other"),
+        ChipCommand(0x15, "MOVE+", "preset move with ramps, plus", "drive", starts=True),
+        ChipCommand(0x17, "MOVE-", "preset move with ramps, minus", "drive", starts=True),
+        ChipCommand(0x11, "RUN+", "run with ramps, plus", "drive", starts=True),
+        ChipCommand(0x13, "RUN-", "run with ramps, minus", "drive", starts=True),
+        ChipCommand(0x19, "HOME+", "with ramps to ORG, plus", "drive", starts=True),
+        ChipCommand(0x1B, "HOME-", "with ramps to ORG, minus", "drive", starts=True),
+        ChipCommand(0x09, "CREEP+", "at START to ORG, plus", "drive", starts=True),
+        ChipCommand(0x0B, "CREEP-", "at START to ORG, minus", "drive", starts=True),
     ),
 )

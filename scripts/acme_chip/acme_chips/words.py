@@ -3,7 +3,7 @@
 from acme_chips.maps import CONTROL, MAP, STATUS
 from stage.chips import cycle_descriptions
 from stage.chips.cycle_descriptions import FieldDescriber, Statement
-from stage.chips.diagnostics import Rule
+from stage.chips.write_diagnostics import Rule
 
 NAMES = {r.number: r.name for r in MAP.registers}
 FIELDS = FieldDescriber(STATUS)

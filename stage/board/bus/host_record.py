@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from stage.chips import core_interface
 from stage.native import array_at, declare_address_call, enter_usual_float_mode, floor, hot, record
-from stage.sim import engine_records, stage_handle
-from stage.sim.stage_handle import (
+from stage.sim import compiled_stage_access, engine_records
+from stage.sim.compiled_stage_access import (
     ENGINE,
     INTEGER,
     REAL,
@@ -97,7 +97,7 @@ reached nothing, or only half of a register, | WRITE_LOST if a fault of the bus 
 device in Python that it reached raised an error."""
 
 HOST = record(
-    stage_handle.HANDLE_FIELDS
+    compiled_stage_access.HANDLE_FIELDS
     + [(name, "i8") for name in "inside in_python".split()]
     + [(name, "i8") for name in "regions n_regions ports n_ports trace_cycles trace_capacity traced changed".split()]
     + [(name, "i8") for name in "until lazy ahead quiet cycles max_cycles stopped collided call".split()]
@@ -111,7 +111,7 @@ HOST = record(
     + [(name, "i8") for name in "devices n_devices answers faults serial".split()]
 )
 """A stage's handle, and
-    inside                     whether a request is being answered, see stage.sim.stage_handle; not while Python or a hook is called
+    inside                     whether a request is being answered, see compiled_stage_access.py; 0 while Python or a hook is called
     in_python                  whether Python is being called: what the firmware requests then comes from a handler of signals or
                                another thread, and calling Python once more would break it
     regions, ports             the table of ports
@@ -163,7 +163,7 @@ _pulls = declare_address_call("i8", "i8", "i8", "i8")
 @hot
 def get_stage(host):
     """Return the HANDLE with which a HOST record begins."""
-    return array_at(host.own, 1, stage_handle.HANDLE)[0]
+    return array_at(host.own, 1, compiled_stage_access.HANDLE)[0]
 
 
 @hot

@@ -20,7 +20,7 @@ from stage.native import (
     least,
     restore_previous_float_mode,
 )
-from stage.sim.stage_handle import INTEGER
+from stage.sim.compiled_stage_access import INTEGER
 
 
 @hot

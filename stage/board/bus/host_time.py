@@ -8,8 +8,8 @@ from stage.board.bus.interrupt_controller import MARK, MARKED
 from stage.chips import core_interface
 from stage.native import array_at, greatest, hot, least, stack_mark
 from stage.sim import engine_records
+from stage.sim.compiled_stage_access import AXIS, INTEGER, get_clockwork, get_world
 from stage.sim.engine import advance
-from stage.sim.stage_handle import AXIS, INTEGER, get_clockwork, get_world
 
 STACK_LEFT = 1 << 20
 """Bytes of the firmware's stack that nested hooks must leave free."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from stage.board.bus.host_record import RETURNED, append_to_trace, get_now
 from stage.native import array_at, greatest, hot, least, record
-from stage.sim.stage_handle import INTEGER
+from stage.sim.compiled_stage_access import INTEGER
 
 LINES, TIMERS, PYTHON_TIMERS, SOFTWARE = 62, 8, 4, 8
 ANY_INTERRUPT_LINE, FIRST_INTERRUPT_LINE = 0, 1

@@ -17,11 +17,11 @@ from typing import ClassVar
 import numpy as np
 
 from stage.chips.chip import Chip
-from stage.chips.diagnostics import Finding
 from stage.chips.hctl1100 import core
 from stage.chips.hctl1100.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.hctl1100.lint import lint_write
 from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
+from stage.chips.write_diagnostics import Finding
 from stage.support.argument_checks import explain_arguments
 
 __all__ = ["HCTL1100"]

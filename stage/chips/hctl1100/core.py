@@ -21,7 +21,7 @@ ALL_OUTPUTS = sum(OUTPUTS.values())
 __all__ = [
     "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_inputs",
     "write_present_edge", "compute_drive_input", "read_net_count", "read_outputs", "peek", "power_up",
-    "compute_pulse_rate", "read", "run", "scan_edges", "scan_edges_and_shafts", "set_shaft", "set_input",
+    "read_pulse_rate", "read", "run", "scan_edges", "scan_edges_and_shafts", "set_shaft", "set_input",
     "read_status", "trace_pulses", "read_register_value", "write",
 ]  # fmt: skip
 
@@ -127,7 +127,7 @@ def read_outputs(chip, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(chip, axis_index, clock_hz):
+def read_pulse_rate(chip, axis_index, clock_hz):
     """Return the commanded velocity in counts per second.
 
     Args:
@@ -251,7 +251,7 @@ def write_present_edge(chip, axis_index, edges, edge_index):
         read_counter(chip, 0),
         read_net_count(chip, 0),
     )
-    e.command, e.motor, e.rate = chip.command, chip.motor_command, compute_pulse_rate(chip, 0, 1.0)
+    e.command, e.motor, e.rate = chip.command, chip.motor_command, read_pulse_rate(chip, 0, 1.0)
 
 
 @hot
@@ -286,12 +286,12 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
     while chip.clock < until and k < len(edges) - EDGE_MARGIN:
         word, rate, command, drive = (
             read_outputs(chip, 0),
-            compute_pulse_rate(chip, 0, 1.0),
+            read_pulse_rate(chip, 0, 1.0),
             chip.command,
             chip.motor_command,
         )
         run(chip, _find_next_pin_change(chip, until, every_pulse))
-        changed = (read_outputs(chip, 0) ^ word) & watched or compute_pulse_rate(chip, 0, 1.0) != rate
+        changed = (read_outputs(chip, 0) ^ word) & watched or read_pulse_rate(chip, 0, 1.0) != rate
         if changed or (every_pulse and (chip.command != command or chip.motor_command != drive)):
             write_present_edge(chip, axis_index, edges, k)
             k += 1

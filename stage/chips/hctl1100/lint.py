@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from stage.chips.diagnostics import Finding, Rule
 from stage.chips.hctl1100 import maps, state
+from stage.chips.write_diagnostics import Finding, Rule
 
 # every write
 NO_REGISTER = Rule("no-register", "register table")

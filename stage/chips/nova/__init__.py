@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins, make_cycle_error
-from stage.chips.diagnostics import Finding
 from stage.chips.exclusive_access import exclusive
 from stage.chips.nova import core, state
 from stage.chips.nova.cycle_descriptions import CycleDescriber, Decoder
@@ -18,6 +17,7 @@ from stage.chips.nova.lint import LintState, Mcx312LintState, Mcx314asLintState,
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import Word
+from stage.chips.write_diagnostics import Finding
 from stage.errors import StageError
 from stage.support.argument_checks import explain_arguments
 

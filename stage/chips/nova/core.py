@@ -37,7 +37,7 @@ HZ = 16_000_000
 __all__ = [
     "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_inputs",
     "write_present_edge", "compute_drive_input", "read_net_count", "read_outputs", "peek", "power_up",
-    "compute_pulse_rate", "read", "run", "scan_edges", "scan_edges_and_shafts", "set_shaft", "set_input",
+    "read_pulse_rate", "read", "run", "scan_edges", "scan_edges_and_shafts", "set_shaft", "set_input",
     "read_status", "trace_pulses", "read_register_value", "write",
 ]  # fmt: skip
 
@@ -63,7 +63,7 @@ def _process_due_events(chip):
             home_search.update_search(chip, axis)
         interpolation.update_interpolation(chip)
         for j in range(chip.axes):
-            synchronous_actions.run_due_sets(chip, j)
+            synchronous_actions.run_due_synchronous_actions(chip, j)
         if not chip.stale:
             break
     chip.stale = 0
@@ -256,7 +256,7 @@ def _compute_interrupt_pins(chip):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(chip, axis_index, clock_hz):
+def read_pulse_rate(chip, axis_index, clock_hz):
     """Return the present output frequency in pulses per second.
 
     Args:
@@ -476,7 +476,7 @@ def write_present_edge(chip, axis_index, edges, edge_index):
         edge_index: Number of the record.
     """
     write_edge(
-        chip, axis_index, edges, edge_index, read_outputs(chip, axis_index), compute_pulse_rate(chip, axis_index, 1.0)
+        chip, axis_index, edges, edge_index, read_outputs(chip, axis_index), read_pulse_rate(chip, axis_index, 1.0)
     )
 
 
@@ -521,7 +521,7 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
             axis.net,
             axis.inputs,
         )
-        rate = compute_pulse_rate(chip, axis_index, 1.0)
+        rate = read_pulse_rate(chip, axis_index, 1.0)
         stop = find_scan_stop(chip, axis_index, every_pulse, off, least(until, chip.quiet_until))
         if every_pulse and chip.interpolating:
             stop = least(stop, interpolation.find_next_tick(chip))
@@ -539,7 +539,7 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
         if chip.stale or chip.clock >= chip.quiet_until:
             _process_due_events(chip)
         word = _compute_watched_outputs(chip, axis_index, every_pulse, off)
-        now = compute_pulse_rate(chip, axis_index, 1.0)
+        now = read_pulse_rate(chip, axis_index, 1.0)
         if word != before or now != rate or (every_pulse and (axis.net != net_before or axis.inputs != pins_before)):
             k = write_edge(chip, axis_index, edges, k, word if every_pulse else read_outputs(chip, axis_index), now)
     _clear_all_pulse_times(chip)
@@ -587,9 +587,9 @@ def _apply_wire_word(chip, every_pulse, axis_index, edges, edge_index, word):
     """
     axis = chip.ax[axis_index]
     before, net_before = _compute_watched_outputs(chip, axis_index, every_pulse, find_pulse_end(axis)), axis.net
-    rate = compute_pulse_rate(chip, axis_index, 1.0)
+    rate = read_pulse_rate(chip, axis_index, 1.0)
     set_wire_word(chip, word)
-    now = compute_pulse_rate(chip, axis_index, 1.0)
+    now = read_pulse_rate(chip, axis_index, 1.0)
     word = _compute_watched_outputs(chip, axis_index, every_pulse, find_pulse_end(axis))
     if word != before or now != rate or (every_pulse and axis.net != net_before):
         edge_index = write_edge(chip, axis_index, edges, edge_index, read_outputs(chip, axis_index), now)

@@ -9,7 +9,7 @@ from stage.chips.cycle_descriptions import FieldDescriber, Statement, describe_b
 from stage.chips.nova.registers.field_builders import AXES, name_axes
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.register_map import Command, Register, RegisterMap, Word
+from stage.chips.register_map import ChipCommand, Register, RegisterMap, Word
 
 BYTES = 16  # byte addresses of the 8-bit bus begin here
 _PATTERN = {"BP_ENABLED": True, "BP_DISABLED": False}
@@ -68,7 +68,7 @@ class Decoder(cycle_descriptions.Decoder):
         """Return the value that a command writes into a register."""
         return register.value(self._words[7] << 16 | self._words[6])
 
-    def _describe_meaning(self, command: Command | None, value: int) -> str:
+    def _describe_meaning(self, command: ChipCommand | None, value: int) -> str:
         """Describe the meaning of a command word."""
         if is_reset_word(self._map, value):
             return "reset"
@@ -162,7 +162,7 @@ class CycleDescriber:
             return f"{head}nothing happens, it takes no axis bits: {command.title}"
         return self._describe_executed_command(command, value, axes, head)
 
-    def _describe_executed_command(self, command: Command, value: int, axes: int, head: str) -> str:
+    def _describe_executed_command(self, command: ChipCommand, value: int, axes: int, head: str) -> str:
         """Describe a command that the chip executes, with its data and its axes."""
         if command.kind in WRITING_KINDS:
             register = self._map.register(command.symbol)
@@ -175,7 +175,7 @@ class CycleDescriber:
             self._pages = self._pages | axes if _PAGE[command.symbol] else self._pages & ~axes
         return head + _describe_command(command, value)
 
-    def _note_reading(self, command: Command) -> str:
+    def _note_reading(self, command: ChipCommand) -> str:
         """Note the register that a reading command has copied to RR6 and RR7, and describe the command."""
         name = command.symbol.removeprefix("R-")
         place = self._map.word(name) if name.startswith("WR") else self._map.register(name)
@@ -250,7 +250,7 @@ class CycleDescriber:
         return shorten_line(f"{head} = {place.value(word)} {place.unit}".rstrip())
 
 
-def _describe_command(command: Command, value: int) -> str:
+def _describe_command(command: ChipCommand, value: int) -> str:
     """Describe the effect of a command and the objects on which it acts."""
     names = [name for k, name in enumerate(command.chooses) if value & command.choice & 1 << k]
     return " ".join([command.title, *names])

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.diagnostics import Finding, Rule
 from stage.chips.nova import core, state
 from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.registers.field_builders import AXES
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP, POINT
-from stage.chips.register_map import Command, Register, RegisterMap, Word
+from stage.chips.register_map import ChipCommand, Register, RegisterMap, Word
+from stage.chips.write_diagnostics import Finding, Rule
 
 # WR0
 RESERVED_BITS = Rule("reserved-bits", "WR0")
@@ -143,7 +143,7 @@ class LintState:
         """Axes that the register IPM or WR5 selects for interpolation, as bits."""
         return self._find_interpolated_axes()
 
-    def find_axes_of_interpolation(self, command: Command) -> int:
+    def find_axes_of_interpolation(self, command: ChipCommand) -> int:
         """Return the axes that take part in an interpolation command, as bits."""
         return self.interpolated_axes
 
@@ -226,7 +226,7 @@ class Mcx312LintState(LintState):
 class Mcx314asLintState(Mcx312LintState):
     """Contents of an MCX314As, whose WR5 selects three axes; a command of two axes ignores the third."""
 
-    def find_axes_of_interpolation(self, command: Command) -> int:
+    def find_axes_of_interpolation(self, command: ChipCommand) -> int:
         return self._find_interpolated_axes(max(command.together))
 
 
@@ -277,7 +277,7 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
         yield from _lint_interpolation(chip, command, name)
 
 
-def _lint_drive(map_: RegisterMap, chip: Any, command: Command, value: int) -> Iterator[Finding]:
+def _lint_drive(map_: RegisterMap, chip: Any, command: ChipCommand, value: int) -> Iterator[Finding]:
     """Check a drive command, the word `value` to WR0."""
     name, axes = f"{command.code:02X}h ({command.title})", AXIS.extract(value)
     if command.starts and (moving := axes & chip.driving_axes):
@@ -289,7 +289,7 @@ def _lint_drive(map_: RegisterMap, chip: Any, command: Command, value: int) -> I
         yield STARTS_NO_DRIVE, f"{name} starts no drive: {reasons}"
 
 
-def _lint_axes(map_: RegisterMap, command: Command, name: str, axes: int) -> Iterator[Finding]:
+def _lint_axes(map_: RegisterMap, command: ChipCommand, name: str, axes: int) -> Iterator[Finding]:
     """Check the axis bits of a command."""
     absent = axes >> map_.axes << map_.axes
     if absent:
@@ -302,7 +302,7 @@ def _lint_axes(map_: RegisterMap, command: Command, name: str, axes: int) -> Ite
         yield SEVERAL_AXES_READ, f"{name} reads one axis: of {_name_axes(axes)} only the first is read"
 
 
-def _lint_data(register: Register, chip: Any, command: Command, axes: int) -> Iterator[Finding]:
+def _lint_data(register: Register, chip: Any, command: ChipCommand, axes: int) -> Iterator[Finding]:
     """Check the data of a command that writes register `register`."""
     word = chip.data & register.mask
     value = register.value(word)
@@ -359,7 +359,7 @@ def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> I
             )
 
 
-def _lint_interpolation(chip: Any, command: Command, name: str) -> Iterator[Finding]:
+def _lint_interpolation(chip: Any, command: ChipCommand, name: str) -> Iterator[Finding]:
     """Check an interpolation command."""
     axes = chip.find_axes_of_interpolation(command)
     if (count := axes.bit_count()) not in command.together:
@@ -393,7 +393,7 @@ def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
             yield HELIX_PULSES_LOST, f"{name} with TP = {chip.tp_values[k]} of {AXES[k]}: {limit}; {lost}"
 
 
-def _lint_multichip(chip: Any, command: Command, name: str) -> Iterator[Finding]:
+def _lint_multichip(chip: Any, command: ChipCommand, name: str) -> Iterator[Finding]:
     """Check an interpolation command to a master or slave."""
     subject = (
         f"{name} as {MLT.values[chip.multichip_role]} (MLT = {chip.multichip_role})"

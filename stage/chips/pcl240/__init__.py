@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stage.chips.chip import Chip
-from stage.chips.diagnostics import Finding
 from stage.chips.pcl240 import core, state
 from stage.chips.pcl240.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.pcl240.lint import Predictions, lint_command, lint_data
@@ -24,6 +23,7 @@ from stage.chips.pcl240.maps import (
     STATUS,
     WIRES,
 )
+from stage.chips.write_diagnostics import Finding
 from stage.errors import ArgumentError, StageError
 from stage.support.argument_checks import explain_arguments
 

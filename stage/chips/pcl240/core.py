@@ -15,7 +15,7 @@ from stage.native import array_of, exported, greatest, hot, least
 __all__ = [
     "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_inputs",
     "write_present_edge", "compute_drive_input", "read_net_count", "read_outputs", "peek", "power_up",
-    "compute_pulse_rate", "read", "run", "scan_edges", "set_shaft", "set_input", "read_status", "trace_pulses",
+    "read_pulse_rate", "read", "run", "scan_edges", "set_shaft", "set_input", "read_status", "trace_pulses",
     "read_register_value", "write",
 ]  # fmt: skip
 
@@ -87,7 +87,7 @@ def read_outputs(chip, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(chip, axis_index, clock_hz):
+def read_pulse_rate(chip, axis_index, clock_hz):
     """Return the present output frequency in pulses per second.
 
     Source: data sheet, section 4, R7.

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from stage.chips.diagnostics import Finding, Rule
 from stage.chips.pcl240.maps import WRITTEN
 from stage.chips.pcl240.state import (
     EL_MINUS,
@@ -41,6 +40,7 @@ from stage.chips.pcl240.state import (
     UNCORRECTED,
 )
 from stage.chips.register_map import RegisterMap
+from stage.chips.write_diagnostics import Finding, Rule
 
 # a byte to a register
 BITS_LOST = Rule("bits-lost", "section 3 c")

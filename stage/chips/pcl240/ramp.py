@@ -1,13 +1,14 @@
-"""Ramps of the PCL-240 family, step 3 of a tick: the speed to reach, and the tick of the next speed step; compiled.
+"""Ramps of the PCL-240 family: the speed that a ramp is to reach, and the clock of its next speed step; compiled.
 
-A linear ramp takes a step every R4 or R5 clocks; one down is over, and FDOWN falls, R5 - 1 clocks after its last step. An S-curve
-ramp of K steps with curved ends of S steps each takes its k-th step at t(k) clocks after its start, and is over at T:
+A linear ramp takes a speed step every R4 or R5 clocks. A ramp down is over, and FDOWN falls, R5 - 1 clocks after its last speed
+step. An S-curve ramp of K speed steps with curved ends of S speed steps each takes its k-th speed step t(k) clocks after its
+start, and is over at T:
 
     rate sqrt(k S)                    k <= S            from rest: the acceleration grows with time
     rate (S + k) / 2                  S < k <= K - S    linear
     T - rate sqrt((K - k) S)          K - S < k         the first part, mirrored;  T = (K + 2 S) rate / 2
 
-in exact integers, for 2 S and 2 T are whole. All this is the normative model's section 7.
+These are exact integers, because 2 S and 2 T are integers. Source: the normative model, section 7.
 """
 
 from __future__ import annotations

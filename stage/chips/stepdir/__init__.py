@@ -15,7 +15,6 @@ from operator import index
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip
-from stage.chips.diagnostics import Diagnostic
 from stage.chips.stepdir import core
 from stage.chips.stepdir.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.stepdir.line_names import DRIVEN, READ, Line
@@ -24,6 +23,7 @@ from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
 from stage.chips.stepdir.state import ENABLE, TIMES
 from stage.chips.stepdir.step_timer import GO, MINUS
+from stage.chips.write_diagnostics import Diagnostic
 from stage.errors import find_similar_names
 from stage.support.argument_checks import explain_arguments
 

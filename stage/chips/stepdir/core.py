@@ -72,7 +72,7 @@ def read_net_count(chip, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(chip, axis_index, clock_hz):
+def read_pulse_rate(chip, axis_index, clock_hz):
     """Return the rate at which the count changes now, per second of a clock of `clock_hz`."""
     return step_timer.compute_step_rate(chip, clock_hz)
 

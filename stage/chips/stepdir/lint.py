@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from stage.chips.diagnostics import Finding, Rule
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, MAP
 from stage.chips.stepdir.state import (
     DIR_HOLD,
@@ -19,6 +18,7 @@ from stage.chips.stepdir.state import (
     STEPS,
 )
 from stage.chips.stepdir.step_timer import CONTINUOUS, GO, SLOW
+from stage.chips.write_diagnostics import Finding, Rule
 
 VALUE_RANGE = Rule("value-range", "step timer")
 NO_REGISTER = Rule("no-register", "step timer")

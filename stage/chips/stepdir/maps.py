@@ -6,7 +6,7 @@ microcontroller's firmware, with registers of our own, so that host drivers in P
 
 from __future__ import annotations
 
-from stage.chips.register_map import Command, Field, Register, RegisterMap, Word
+from stage.chips.register_map import ChipCommand, Field, Register, RegisterMap, Word
 
 CONTROL_ADDRESS = 0
 """Bus address of the control word; a read of it returns the status word."""
@@ -78,13 +78,13 @@ MAP = RegisterMap(
     ),
     (CONTROL, STATUS),
     (
-        Command(0x20, "STOP", "stop at once", "other", evidence="I"),
-        Command(0x10, "SLOW", "stop with the ramp down", "other", evidence="I"),
-        Command(0x01, "MOVE+", "move by STEPS, plus", "drive", evidence="I", starts=True),
-        Command(0x03, "MOVE-", "move by STEPS, minus", "drive", evidence="I", starts=True),
-        Command(0x05, "RUN+", "run, plus", "drive", evidence="I", starts=True),
-        Command(0x07, "RUN-", "run, minus", "drive", evidence="I", starts=True),
-        Command(0x0D, "HOME+", "run until ORG, plus", "drive", evidence="I", starts=True),
-        Command(0x0F, "HOME-", "run until ORG, minus", "drive", evidence="I", starts=True),
+        ChipCommand(0x20, "STOP", "stop at once", "other", evidence="I"),
+        ChipCommand(0x10, "SLOW", "stop with the ramp down", "other", evidence="I"),
+        ChipCommand(0x01, "MOVE+", "move by STEPS, plus", "drive", evidence="I", starts=True),
+        ChipCommand(0x03, "MOVE-", "move by STEPS, minus", "drive", evidence="I", starts=True),
+        ChipCommand(0x05, "RUN+", "run, plus", "drive", evidence="I", starts=True),
+        ChipCommand(0x07, "RUN-", "run, minus", "drive", evidence="I", starts=True),
+        ChipCommand(0x0D, "HOME+", "run until ORG, plus", "drive", evidence="I", starts=True),
+        ChipCommand(0x0F, "HOME-", "run until ORG, minus", "drive", evidence="I", starts=True),
     ),
 )  # fmt: skip

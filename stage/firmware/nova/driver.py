@@ -140,14 +140,14 @@ class NovaDriver(Driver):
         word = self.port.read_status_register(int(self.END_WORD[2]))
         return next((name for bit, name in END_CAUSES.items() if word & self._get_end_mask(bit)), "")
 
-    def explain_end(self, made_all_pulses: bool, journal: Journal | None = None) -> str:
+    def explain_end(self, all_pulses_sent: bool, journal: Journal | None = None) -> str:
         """Return the stop reason of a drive. END_WORD has no bit for software limits, so they are read from RR2.
 
         Args:
-            made_all_pulses: Whether the chip has made every pulse.
+            all_pulses_sent: Whether the chip has made every pulse.
             journal: Journal of the chip, opened before the drive.
         """
-        reasons = super().explain_end(made_all_pulses, journal)
+        reasons = super().explain_end(all_pulses_sent, journal)
         return reasons if reasons != UNKNOWN else next(iter(self.port.read_error_names()), UNKNOWN)
 
     def read_status_words(self) -> dict[str, int]:

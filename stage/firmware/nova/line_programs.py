@@ -121,7 +121,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
-    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
         """Return zeros, because the chip interpolates."""
         return np.zeros((*moves.distances.shape, 4))
 
@@ -214,7 +214,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
             worth[3:] = [np.full_like(at.ramp, np.inf), at.lag / (2.0 * r[..., 4])]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
-    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
         at = self._compute_ramps(self.compute_registers(moves))
         return self.compute_deviations(moves, at.high, at.ramp, at.lag, at.lag, 0.5 * (at.low + at.high) * at.ramp)
 

@@ -90,7 +90,7 @@ class AxisPlan:
         return self.registers["R2"] > self.registers["R1"]
 
     @property
-    def span(self) -> int | None:
+    def curved_end_steps(self) -> int | None:
         """Speed steps in each curved end of the ramps; 0 for ramps without a linear part, None for linear ramps."""
         return None if (word := self.registers.get("R14", LINEAR)) & LINEAR else word & SPAN
 
@@ -98,13 +98,13 @@ class AxisPlan:
     def accel_time(self) -> float:
         """Time from FL to FH, s."""
         r = self.registers
-        return compute_ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.span)
+        return compute_ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.curved_end_steps)
 
     @property
     def decel_time(self) -> float:
         """Time from FH to FL, s."""
         r = self.registers
-        return compute_ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.span)
+        return compute_ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.curved_end_steps)
 
     @property
     def offset(self) -> int:

@@ -102,7 +102,7 @@ class RatioLinePrograms(LinePrograms):
         worth = [(2 * gain + 1) * up / (16384.0 * r7), moves.magnitudes / high, per_clock, per_clock]
         return np.stack([*worth, np.ones_like(gain)], axis=2)
 
-    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
         low, high, up, down, point, r7 = np.moveaxis(self.compute_registers(moves).astype(np.float64), 2, 0)
         gain, pps = high - low, high * self.clock_hz / (8192.0 * r7)
         lag, less = (gain * (gain + 1) * rate / (16384.0 * r7) for rate in (up, down))

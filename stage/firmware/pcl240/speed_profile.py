@@ -44,52 +44,55 @@ def compute_pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CL
     return speed * clock_hz / (8192 * r7)
 
 
-def compute_linear_ramp_steps(low: int, high: int, span: int | None = None) -> float:
+def compute_equivalent_linear_ramp_steps(low: int, high: int, curved_end_steps: int | None = None) -> float:
     """Compute the speed steps of a linear ramp that takes as long as a ramp with curved ends.
 
-    The result is (K + 2 S) / 2 with K = high - low and S = span. A span of 0, or of more than half the ramp, means half the ramp
-    (data sheet MS, 3-1).
+    The result is (K + 2 S) / 2 with K = high - low and S = curved_end_steps. An S of 0, or of more than half the ramp, means half
+    the ramp (data sheet MS, 3-1).
 
     Args:
         low: Speed at the begin of the ramp, speed steps.
         high: Speed at its end, speed steps.
-        span: Speed steps of each curved end; None: a linear ramp, which takes as long as an S-curve that is curved throughout.
+        curved_end_steps: Speed steps of each curved end; None: a linear ramp, which takes as long as an S-curve that is curved
+            throughout.
     """
     height = high - low
-    return float(height) if not span or 2 * span > height else (height + 2 * span) / 2
+    return (
+        float(height) if not curved_end_steps or 2 * curved_end_steps > height else (height + 2 * curved_end_steps) / 2
+    )
 
 
 def compute_ramp_seconds(
-    low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ, span: int | None = None
+    low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ, curved_end_steps: int | None = None
 ) -> float:
     """Compute Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3).
 
-    An S-curve with a linear part takes (FH - FL + 2 span) rate / (2 clock) (data sheet MS, 3-3).
+    An S-curve with a linear part takes (FH - FL + 2 S) rate / (2 clock) with S = curved_end_steps (data sheet MS, 3-3).
 
     Args:
         low: FL, speed steps.
         high: FH, speed steps.
         rate: R4 or R5.
         clock_hz: Reference clock, Hz.
-        span: Speed steps of each curved end; None for linear ramps.
+        curved_end_steps: Speed steps of each curved end; None for linear ramps.
     """
-    return compute_linear_ramp_steps(low, high, span) * rate / clock_hz
+    return compute_equivalent_linear_ramp_steps(low, high, curved_end_steps) * rate / clock_hz
 
 
-def compute_ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | None = None) -> float:
+def compute_ramp_pulses(low: int, high: int, rate: float, r7: int, curved_end_steps: int | None = None) -> float:
     """Compute Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A).
 
-    An S-curve with a linear part makes (FL + FH) (FH - FL + 2 span) rate / (32768 R7) (data sheet MS, 3-4.2). This is the area of
-    the trapezoid; the chip's staircase makes (FH - FL) rate / (16384 R7) fewer.
+    An S-curve with a linear part makes (FL + FH) (FH - FL + 2 S) rate / (32768 R7) with S = curved_end_steps (data sheet MS,
+    3-4.2). This is the area of the trapezoid; the chip's staircase makes (FH - FL) rate / (16384 R7) fewer.
 
     Args:
         low: FL, speed steps.
         high: FH, speed steps.
         rate: R4 or R5.
         r7: Multiplier R7.
-        span: Speed steps of each curved end; None for linear ramps.
+        curved_end_steps: Speed steps of each curved end; None for linear ramps.
     """
-    return (high + low) * compute_linear_ramp_steps(low, high, span) * rate / (16384 * r7)
+    return (high + low) * compute_equivalent_linear_ramp_steps(low, high, curved_end_steps) * rate / (16384 * r7)
 
 
 def is_triangular_move(
@@ -310,7 +313,7 @@ class Profile:
         height = max(self.get_high_speed(fh2) - self.R1, 0)
         span = 0 if s_curve is True or s_curve == 0.5 else max(1, round(s_curve * height))
         spans = None if s_curve is False else (span, span)
-        steps = compute_linear_ramp_steps(self.R1, self.R1 + height, span if spans else None)
+        steps = compute_equivalent_linear_ramp_steps(self.R1, self.R1 + height, span if spans else None)
         if not steps:
             return replace(self, spans=spans)
         r4, r5 = (

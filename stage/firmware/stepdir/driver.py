@@ -218,7 +218,7 @@ class StepDirDriver(Driver):
                 }
             )
 
-    def explain_end(self, made_all_pulses: bool, journal: Journal | None = None) -> str:
+    def explain_end(self, all_pulses_sent: bool, journal: Journal | None = None) -> str:
         return self._read_end_reason()
 
     # --- as programs ---

@@ -57,7 +57,7 @@ class BresenhamLinePrograms(LinePrograms):
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
-    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
         """Return zeros, because no axis leaves the line by more than half a step."""
         return np.zeros((*moves.distances.shape, 4))
 

@@ -20,7 +20,7 @@ from stage.drives import drive_dispatch
 from stage.sim.engine_records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, compute_clock_at
 from stage.sim.gpu.device_code import LaneChip
 from stage.sim.gpu.lane_memory_layout import HOST, PLAYING, WARP
-from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WRITE
+from stage.sim.program import AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP, END, MEASURE, READ, SAMPLE_POSITION, WRITE
 from stage.sim.program_player import DIVERGED, PLAYED, inspect_axis
 from stage.sim.switch_edges import find_next_edge, predict_axis_switch_edges, process_axis_edges
 from stage.sim.warm_start_prediction import apply_effort
@@ -96,7 +96,7 @@ def begin_operation(host, now, kind, first_argument):
     host.started, host.begin, host.left, host.poll, host.until = 1, now, first_argument, 0, now
     if kind in (WRITE, READ):
         host.until = now + BUS
-    elif kind not in (STOP, KEEP, LOOK):
+    elif kind not in (AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP, SAMPLE_POSITION):
         host.until = now + first_argument
     host.x0 = host.y0 = host.z0 = math.inf
     host.x1 = host.y1 = host.z1 = -math.inf
@@ -271,10 +271,10 @@ def advance_lanes(
                 acting = False
             elif host.until >= end:
                 acting = False
-            elif kind in (STOP, KEEP):
+            elif kind in (AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP):
                 judged = host.left >> host.poll == 0
                 now, polled, target, axis, beyond = choose_polls(host, places, lane, end)
-                if judged and kind == KEEP:
+                if judged and kind == AWAIT_STOP_OR_LOST_STEP:
                     target = now
             else:
                 now = host.until
@@ -286,7 +286,7 @@ def advance_lanes(
             chip_now = target
         if running and not acting and target >= 0:
             running = False
-        polling = acting and kind in (STOP, KEEP)
+        polling = acting and kind in (AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP)
         tau = (now - start - 0.5 * dt) * 1e-9
         if acting and not polling:
             if kind == WRITE:
@@ -300,7 +300,7 @@ def advance_lanes(
                     if a > 0:
                         update_extremes(host, extremes[copy], q, sites, bodies, copy, b)
                     results[copy, op] = measure_travel(host)
-            elif kind == LOOK and lane == 0:
+            elif kind == SAMPLE_POSITION and lane == 0:
                 place = q[places[a].qpos] + v[places[a].dof] * tau
                 if b:
                     place = read_point_coordinate(sites, bodies, copy, b, x)
@@ -309,7 +309,12 @@ def advance_lanes(
         if is_true_in_warp(polling):
             if axis >= 0 and core_interface.is_busy(c, places[axis].axis):
                 moving = 1 << axis
-            if polling and judged and kind == KEEP and has_lost_a_step(c, drives, table, numbers, a, q, v, tau):
+            if (
+                polling
+                and judged
+                and kind == AWAIT_STOP_OR_LOST_STEP
+                and has_lost_a_step(c, drives, table, numbers, a, q, v, tau)
+            ):
                 moving |= LOST
             in_motion, moving = moving, 0
             for k in range(LANES):

@@ -22,9 +22,10 @@ HOST = record(
     [(name, "i8") for name in "op started until begin left poll status stepped frozen".split()]
     + [(name, "f8") for name in "x0 y0 z0 x1 y1 z1".split()]
 )
-"""What plays a program: the operation in progress, and whether it has begun; the time at which it goes on (ns); of a STOP or KEEP
-when it began (ns), the axes in motion and the next of them to poll; how the program ended; 1 where physics has moved the copy
-since; 1 where the program is over and the copy's coordinates are frozen; the box that a measured point has kept to (m)."""
+"""State of the host that plays a program: the operation in progress, and whether it has begun; the time at which it continues (ns);
+of an AWAIT_STOP or AWAIT_STOP_OR_LOST_STEP the time of its begin (ns), the axes in motion and the next of them to poll; how the
+program ended; 1 where physics has moved the copy since; 1 where the program is over and the copy's coordinates are frozen; the
+smallest box that contains the path of a measured point (m)."""
 LANE_ROW = record([("axes", "i8"), ("hz", "i8"), ("ticks", "f8")])
 """Of a chip: axes in use, clock in Hz, clocks in a slice."""
 AXIS_PLACE = record([(name, "i8") for name in "lane axis qpos dof".split()])

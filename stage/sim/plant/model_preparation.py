@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from stage.errors import ArgumentError, ModelError, find_similar_names, unknown_name_error
-from stage.sim.plant.model_errors import find_nearest_name, format_actuator_line
-from stage.sim.plant.size_limits import check_model_size
+from stage.sim.plant.model_file_limits import check_model_size
+from stage.sim.plant.naming_contract_errors import find_nearest_name, format_actuator_line
 
 
 def list_model_names() -> list[str]:

@@ -13,14 +13,14 @@ import numpy as np
 from stage.errors import ModelError
 from stage.sim.engine_records import PINS
 from stage.sim.model_fingerprint import compute_fingerprint
-from stage.sim.plant.model_errors import (
+from stage.sim.plant.model_preparation import find_axis_names, read_texts
+from stage.sim.plant.naming_contract_errors import (
     ModelProblems,
     find_nearest_name,
     format_actuator_line,
     format_joint_line,
     suggest_name,
 )
-from stage.sim.plant.model_preparation import find_axis_names, read_texts
 from stage.sim.plant.switch_finder import Switch, SwitchFinder
 from stage.units import POSITION_UNITS
 

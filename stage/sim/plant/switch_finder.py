@@ -13,7 +13,7 @@ from stage.sim import flag_distances as flag_scan
 from stage.sim import mujoco_callbacks
 from stage.sim.engine_records import PINS
 from stage.sim.mujoco_function_addresses import find_mujoco_address
-from stage.sim.plant.model_errors import ModelProblems, format_pair_line, format_sensor_line, suggest_name
+from stage.sim.plant.naming_contract_errors import ModelProblems, format_pair_line, format_sensor_line, suggest_name
 
 MIN_LOOKAHEAD_M = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
 SCAN_POSITIONS = 401  # joint positions tried over the range

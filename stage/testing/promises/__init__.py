@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stage.testing.promise_trial import PromiseTrial
-from stage.testing.promises.actions import check_actions
+from stage.testing.promises.axis_actions import check_actions
 from stage.testing.promises.bus import (
     check_bus_lines,
     check_command_cycles,

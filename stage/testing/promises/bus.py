@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips import Chip, Diagnostic, contract
+from stage.chips import Chip, Diagnostic, contract_check
 from stage.chips.cycle_descriptions import MAX_LINE_LENGTH, decode
-from stage.chips.register_map import Command, Word
+from stage.chips.register_map import ChipCommand, Word
 from stage.errors import ArgumentError, StageError
 from stage.testing.chip_actions import copy_state, describe_differences, perform_act, perform_acts
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial
@@ -19,7 +19,7 @@ from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 def check_contract(trial: PromiseTrial) -> None:
     """Check that the class, core and records of the chip have every attribute that loops, boards and recordings use."""
     try:
-        contract.check_chip_class(trial.chip_class, Chip)
+        contract_check.check_chip_class(trial.chip_class, Chip)
     except ArgumentError as error:
         raise BrokenPromise(str(error)) from None
     axis, bits = trial.chip_class.IRQ
@@ -149,7 +149,7 @@ def check_register_cycles(trial: PromiseTrial) -> None:
 def check_command_cycles(trial: PromiseTrial) -> None:
     """Check that every command is sent by bus cycles that exist on the bus, if the family lists cycles for commands."""
     map_ = trial.chip_class.MAP
-    sent: list[Command | Word] = [*map_.commands, *(w for w in map_.words if w.is_written)]
+    sent: list[ChipCommand | Word] = [*map_.commands, *(w for w in map_.words if w.is_written)]
     for what in sent:
         name = what.name if isinstance(what, Word) else what.symbol
         takes = isinstance(what, Word) or what.choice or (what.bytes and "read" not in what.kind)

@@ -164,7 +164,7 @@ def _check_window_slices(trial: PromiseTrial, chip: Chip, slices: int, ticks: in
 def check_drive_inputs(trial: PromiseTrial) -> None:
     """Check that compute_drive_input gives the mean pulse count of a slice, or a servo's motor command.
 
-    Check compute_pulse_rate likewise.
+    Check read_pulse_rate likewise.
     """
     for rng in trial.seeded_generators():
         chip, axis, move_pulses = trial.start_move(rng, slow=True)
@@ -189,9 +189,9 @@ def check_drive_inputs(trial: PromiseTrial) -> None:
                 raise BrokenPromise(
                     f"compute_drive_input is {mean_input:.3f}, and the count goes from {before} to {chip.net(axis)}"
                 )
-            rate = abs(float(chip.CORE.compute_pulse_rate.c(chip.pointer, axis, float(chip.clock_hz))))
+            rate = abs(float(chip.CORE.read_pulse_rate.c(chip.pointer, axis, float(chip.clock_hz))))
             if going and chip.busy(axis) and abs(rate * ticks / chip.clock_hz - n) > 1.1 + 0.1 * n:
-                raise BrokenPromise(f"compute_pulse_rate is {rate:.1f} a second, and {n} pulses came in {ticks} clocks")
+                raise BrokenPromise(f"read_pulse_rate is {rate:.1f} a second, and {n} pulses came in {ticks} clocks")
             if going and chip.busy(axis) and abs(mean_input - mean) > 0.55 + 0.1 * n:
                 raise BrokenPromise(
                     f"compute_drive_input is {mean_input:.3f}, and the mean of the {n} pulses of {ticks} clocks is {mean:.3f}"

@@ -21,8 +21,8 @@ from pulsestage_trinamic.tmc2209.cycle_descriptions import CycleDescriber, Decod
 from pulsestage_trinamic.tmc2209.maps import MAP
 from pulsestage_trinamic.tmc2209.state import MS1, MS2
 from pulsestage_trinamic.tmc2209.uart_port import UartPort
-from stage.chips.diagnostics import Diagnostic, Finding
 from stage.chips.stepdir.line_names import Line
+from stage.chips.write_diagnostics import Diagnostic, Finding
 from stage.errors import ArgumentError
 
 __all__ = ["TMC2209"]

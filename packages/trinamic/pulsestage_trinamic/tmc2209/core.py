@@ -138,7 +138,7 @@ def read_net_count(c, axis_index):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, axis_index, clock_hz):
+def read_pulse_rate(c, axis_index, clock_hz):
     """Return the rate at which the count changes now, per second of a clock of `clock_hz`."""
     per_step = float(1 << power_stage.read_step_shift(c)) / c.unit
     if c.registers[state.GCONF] & state.SHAFT:

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from pulsestage_trinamic.tmc2209 import maps, state
-from stage.chips.diagnostics import Finding, Rule
 from stage.chips.stepdir import STEPDIR
 from stage.chips.stepdir.lint import lint_write as lint_step_timer
+from stage.chips.write_diagnostics import Finding, Rule
 
 NO_REGISTER = Rule("tmc2209-no-register", "section 5")
 READ_ONLY = Rule("tmc2209-read-only", "section 5")

@@ -16,7 +16,7 @@ from pulsestage_trinamic.tmc5160 import core, encoder, lint
 from pulsestage_trinamic.tmc5160.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc5160.maps import ADDRESSES, M32, M40, MAP, MOTION, SPI_DATAGRAM
 from stage.chips.chip import Chip
-from stage.chips.diagnostics import Finding
+from stage.chips.write_diagnostics import Finding
 from stage.errors import ArgumentError, StageError
 
 __all__ = ["TMC5160"]

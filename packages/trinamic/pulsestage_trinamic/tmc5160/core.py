@@ -33,7 +33,7 @@ STOP_BEFORE_COMPARE, STOP_AT_EACH_STEP, STOP_AT_EACH_EDGE = 1, 2, 4
 __all__ = [
     "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_motor_current",
     "compute_drive_input", "read_inputs", "write_present_edge", "read_net_count", "read_outputs", "peek",
-    "power_up", "compute_pulse_rate", "read", "get_register_value", "run", "scan_edges", "set_fixed_load",
+    "power_up", "read_pulse_rate", "read", "get_register_value", "run", "scan_edges", "set_fixed_load",
     "set_input", "set_load", "scan_edges_and_shafts", "set_shaft", "read_status", "trace_pulses", "run_window",
     "write",
 ]  # fmt: skip
@@ -130,7 +130,7 @@ def _skip_uneventful_clocks(c, until, stop_flags):
     if c.fresh:
         return 0
     clocks = least(until, power_stage.find_next_timer_clock(c)) - c.clock
-    if encoder.needs_each_edge(c) or (c.fed and stop_flags & STOP_AT_EACH_EDGE):
+    if encoder.needs_each_encoder_edge(c) or (c.fed and stop_flags & STOP_AT_EACH_EDGE):
         clocks = least(clocks, encoder.find_next_edge(c) - c.clock - 1)
         if clocks == 0:
             return 0
@@ -275,7 +275,7 @@ def _compute_field_rate(c):
 
 
 @exported("f8", STATE, "i8", "f8")
-def compute_pulse_rate(c, j, clock_hz):
+def read_pulse_rate(c, j, clock_hz):
     """Return the rate of the field, 1/256 full steps a second."""
     return _compute_field_rate(c) * clock_hz
 
@@ -425,7 +425,7 @@ def scan_edges(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_edges_and_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """Scan while the position of the shaft changes at `clocks`, see stage/chips/core_interface.py."""
+    """Find the edges of a chip while its shaft turns to a new position at each of `clocks`, see stage/chips/core_interface.py."""
     return scan_while_shafts_move(
         c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan_edges, set_shaft
     )

@@ -66,7 +66,7 @@ def set_shaft(c, count, rate):
 
 
 @hot
-def needs_each_edge(c):
+def needs_each_encoder_edge(c):
     """Return whether each edge must be processed in its own clock, because more than X_ENC depends on it."""
     if not c.fed:
         return False

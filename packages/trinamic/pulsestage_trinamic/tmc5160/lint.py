@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from pulsestage_trinamic.tmc5160 import maps, state
-from stage.chips.diagnostics import Finding, Rule
+from stage.chips.write_diagnostics import Finding, Rule
 
 SPI_MARGIN_S = 10e-9  # time that each level of SCK and of CSN lasts in addition to its clocks
 SHEET = "data sheet TMC5160 rev. 1.14, page "

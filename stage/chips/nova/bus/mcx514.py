@@ -219,7 +219,7 @@ def _execute_axis_command(chip, axis, axis_index, code):
     elif code == RR3P1:
         chip.status_pages |= 1 << axis_index
     else:
-        synchronous_actions.execute_command(chip, axis, code)
+        synchronous_actions.execute_synchronous_command(chip, axis, code)
 
 
 @hot

@@ -58,8 +58,8 @@ def reset_actions(chip, axis):
 
 
 @hot
-def execute_command(chip, axis, code):
-    """Execute a command of DCC, timer, split pulses or SYNC sets; ignore others."""
+def execute_synchronous_command(chip, axis, code):
+    """Execute a command of the deviation counter clear output (DCC), timer, split pulses or SYNC sets; ignore other codes."""
     family, sets = code & ~ALL_SETS, code & ALL_SETS
     if code == DCC:
         ports.start_dcc_pulse(chip, axis)
@@ -222,7 +222,7 @@ def _activate_set(chip, axis_index, set_index):
 
 
 @hot
-def run_due_sets(chip, axis_index):
+def run_due_synchronous_actions(chip, axis_index):
     """Run the synchronous actions that are due at the present clock. Sets `chip.stale` if that changes the chip."""
     axis = chip.ax[axis_index]
     if chip.variant != state.MCX514_TYPE:

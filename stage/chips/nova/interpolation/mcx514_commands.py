@@ -165,7 +165,7 @@ def _load_segment(chip, code):
                     chip.ax[queued_segment.axis_numbers[k]].reg[TP], queued_segment.inner_ticks
                 )
     if role:
-        multichip.await_start(chip, mask, main, word & STEP, role, word & MAXM)
+        multichip.await_linked_start(chip, mask, main, word & STEP, role, word & MAXM)
     else:
         interpolation.submit_segment(chip, mask, main, STAGES, word & STEP)
 

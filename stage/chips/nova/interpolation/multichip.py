@@ -49,7 +49,7 @@ def can_take_line(chip, role):
 
 
 @hot
-def await_start(chip, axis_mask, main_axis, single_stepped, role, fixed_maximum):
+def await_linked_start(chip, axis_mask, main_axis, single_stepped, role, tx_has_maximum):
     """Make the line at the head of the queue wait until all linked chips can start.
 
     Args:
@@ -58,11 +58,11 @@ def await_start(chip, axis_mask, main_axis, single_stepped, role, fixed_maximum)
         main_axis: Main axis.
         single_stepped: Whether a host command makes each tick.
         role: MASTER or SLAVE.
-        fixed_maximum: Whether the register TX has the maximum finish point.
+        tx_has_maximum: Whether the register TX has the maximum finish point.
     """
     ip = chip.ip
     interpolation.prepare_axes(chip, axis_mask, main_axis, 0, SLAVE if role == SLAVE else single_stepped)
-    ip.role, ip.awaits_start, ip.uses_tx, ip.next_tick_clock = role, 1, fixed_maximum, NEVER
+    ip.role, ip.awaits_start, ip.uses_tx, ip.next_tick_clock = role, 1, tx_has_maximum, NEVER
     ip.last_tick_clock = ip.tick_interval = 0
     chip.interpolating, chip.signals_failure, chip.stale = 1, 0, 1
     for j in range(chip.axes):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stage.chips.nova.registers.mcx300_words import EM, HM, list_mcx314as_words, list_words
-from stage.chips.register_map import Command, Register, RegisterMap, make_read_command, make_write_command
+from stage.chips.register_map import ChipCommand, Register, RegisterMap, make_read_command, make_write_command
 
 RANGE = 8_000_000
 """R of multiple 1."""
@@ -65,17 +65,17 @@ INTERPOLATION_REGISTERS = ("C", "L")
 """Registers that only interpolating chips have."""
 
 
-def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False) -> Command:
+def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False) -> ChipCommand:
     """Return a command that drives axes."""
-    return Command(code, symbol, title, "drive", evidence="C", starts=starts)
+    return ChipCommand(code, symbol, title, "drive", evidence="C", starts=starts)
 
 
-def _make_interpolation_command(code: int, symbol: str, title: str, note: str = "") -> Command:
+def _make_interpolation_command(code: int, symbol: str, title: str, note: str = "") -> ChipCommand:
     """Return an interpolation command, which is not sent to axes."""
-    return Command(code, symbol, title, "interpolation", evidence="C", axes=False, note=note)
+    return ChipCommand(code, symbol, title, "interpolation", evidence="C", axes=False, note=note)
 
 
-def _make_segment_command(code: int, symbol: str, title: str, points: bool = True) -> Command:
+def _make_segment_command(code: int, symbol: str, title: str, points: bool = True) -> ChipCommand:
     """Return the command of a segment of the two axes that WR5 selects."""
     return replace(_make_interpolation_command(code, symbol, title), starts=True, together=(2,), points=points)
 
@@ -83,7 +83,7 @@ def _make_segment_command(code: int, symbol: str, title: str, points: bool = Tru
 _BY_NAME = {r.name: r for r in PARAMETERS}
 COMMANDS = (
     *(make_write_command(r) for r in PARAMETERS if r.number < 0x0F),
-    Command(0x0F, "NOP", "axis selection only", "other", evidence="C"),
+    ChipCommand(0x0F, "NOP", "axis selection only", "other", evidence="C"),
     make_read_command(_BY_NAME["LP"], 0x10),
     make_read_command(_BY_NAME["EP"], 0x11),
     *(make_read_command(r) for r in PRESENT),
@@ -110,14 +110,14 @@ COMMANDS = (
     make_write_command(HM, "mode write"),
     make_write_command(_BY_NAME["HV"]),
     _make_drive_command(0x62, "HOME_EXEC", "automatic home search", True),
-    Command(0x63, "DEVCTR_CLR", "deviation counter clear output", "other", evidence="C"),
+    ChipCommand(0x63, "DEVCTR_CLR", "deviation counter clear output", "other", evidence="C"),
 )
 
 
-def find_chips_with(row: Register | Command) -> tuple[str, ...]:
+def find_chips_with(row: Register | ChipCommand) -> tuple[str, ...]:
     """Return the names of the chips of the family that have a register or command."""
-    name = row.symbol if isinstance(row, Command) else row.name
-    only = name in INTERPOLATION_REGISTERS or (isinstance(row, Command) and row.kind == "interpolation")
+    name = row.symbol if isinstance(row, ChipCommand) else row.name
+    only = name in INTERPOLATION_REGISTERS or (isinstance(row, ChipCommand) and row.kind == "interpolation")
     return INTERPOLATING if only else CHIPS
 
 
@@ -153,7 +153,7 @@ def _make_mcx314as_map() -> RegisterMap:
         make_write_command(EM, "mode write"),
         replace(make_write_command(sync, "mode write"), lacking=f"not modeled (its bits are not known): {NO_ACTIONS}"),
         replace(make_read_command(buffer), lacking=f"not modeled: it reads 0, as {NO_ACTIONS}"),
-        Command(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C", lacking=f"not modeled: {NO_ACTIONS}"),
+        ChipCommand(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C", lacking=f"not modeled: {NO_ACTIONS}"),
     )  # fmt: skip
     three = {"IP_3ST", "IP_3BP"}
     found = [*(c for c in COMMANDS if c.symbol != "HM"), *more]

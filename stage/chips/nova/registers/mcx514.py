@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from stage.chips.nova.registers.mcx514_words import list_mode_registers, list_words
-from stage.chips.register_map import Command, Field, Register, RegisterMap, make_read_command, make_write_command
+from stage.chips.register_map import ChipCommand, Field, Register, RegisterMap, make_read_command, make_write_command
 
 JERK, RATE, SPEED = (1, 1_073_741_823), (1, 536_870_911), (1, 8_000_000)
 POINT = (-1_073_741_823, 1_073_741_823)
@@ -88,42 +88,42 @@ PRESENT = (
 _PAGES = {"DV": "S", "TX": "D"}
 
 
-def _make_read_commands(registers: tuple[Register, ...]) -> tuple[Command, ...]:
+def _make_read_commands(registers: tuple[Register, ...]) -> tuple[ChipCommand, ...]:
     """Return the commands that read data, 30h to 49h."""
     present = {r.name for r in PRESENT}
     back = [r for r in registers if r.name in READ_CODES]
     found = [
         *(make_read_command(r, READ_CODES[r.name], _PAGES.get(r.name, "C"), axes=r.name not in NO_AXIS) for r in back),
         *(make_read_command(r, axes=r.name not in NO_AXIS) for r in registers if r.name in present),
-        *(Command(0x3C + k, f"R-WR{k}", f"read WR{k}", "data read", 2, evidence="C") for k in (1, 2, 3)),
+        *(ChipCommand(0x3C + k, f"R-WR{k}", f"read WR{k}", "data read", 2, evidence="C") for k in (1, 2, 3)),
     ]
     return tuple(sorted(found, key=lambda c: c.code))
 
 
-def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> Command:
+def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> ChipCommand:
     """Return a command that drives axes."""
-    return Command(code, symbol, title, "drive", evidence="C", starts=starts, note=note)
+    return ChipCommand(code, symbol, title, "drive", evidence="C", starts=starts, note=note)
 
 
-def _make_interpolation_command(code: int, symbol: str, title: str) -> Command:
+def _make_interpolation_command(code: int, symbol: str, title: str) -> ChipCommand:
     """Return an interpolation command, which is not sent to axes."""
-    return Command(code, symbol, title, "interpolation", evidence="C", axes=False)
+    return ChipCommand(code, symbol, title, "interpolation", evidence="C", axes=False)
 
 
-def _make_segment_command(code: int, symbol: str, title: str, *axes: int, points: bool = True) -> Command:
+def _make_segment_command(code: int, symbol: str, title: str, *axes: int, points: bool = True) -> ChipCommand:
     """Return the command of a segment. `axes` has the possible numbers of axes, which IPM selects."""
     return replace(_make_interpolation_command(code, symbol, title), starts=True, together=axes, points=points)
 
 
-def _make_command(code: int, symbol: str, title: str, axes: bool = True) -> Command:
+def _make_command(code: int, symbol: str, title: str, axes: bool = True) -> ChipCommand:
     """Return a command without data."""
-    return Command(code, symbol, title, "other", evidence="C", axes=axes)
+    return ChipCommand(code, symbol, title, "other", evidence="C", axes=axes)
 
 
-def _make_sync_command(code: int, symbol: str, verb: str) -> Command:
+def _make_sync_command(code: int, symbol: str, verb: str) -> ChipCommand:
     """Return a command for the synchronous action sets that its `choice` bits select."""
     note, chooses = "bits 0 to 3 of the code", tuple(f"SYNC{m}" for m in range(4))
-    return Command(code, symbol, verb, "sync", evidence="C", choice=0x0F, note=note, chooses=chooses)
+    return ChipCommand(code, symbol, verb, "sync", evidence="C", choice=0x0F, note=note, chooses=chooses)
 
 
 _ACTIONS = (
@@ -182,7 +182,7 @@ def _make_register_map(chip: str, axes: int, title: str) -> RegisterMap:
     lacks = {*(_NEEDS_HELICES if axes < 3 else ()), *(_NEEDS_INTERPOLATION if axes < 2 else ())}
     registers = tuple(r for r in (*PARAMETERS, *list_mode_registers(axes), *PRESENT) if r.name not in lacks)
 
-    def is_on_chip(c: Command) -> bool:
+    def is_on_chip(c: ChipCommand) -> bool:
         if c.symbol in lacks or (c.kind == "interpolation" and axes < 2):
             return False
         return not c.together or min(c.together) <= axes

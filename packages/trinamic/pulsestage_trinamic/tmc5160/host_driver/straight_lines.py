@@ -95,7 +95,7 @@ class ProportionalLine(LinePrograms):
             / (registers[..., acceleration_column] * self.clock_hz)
         )
 
-    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
         r, unit = self.compute_registers(moves).astype(np.float64), self.clock_hz / VELOCITY_UNIT
         up, down = self._compute_ramp_seconds(r, 0, 1), self._compute_ramp_seconds(r, 4, 3)
         lag, less = 0.5 * (r[..., 2] - r[..., 0]) * unit * up, 0.5 * (r[..., 2] - r[..., 4]) * unit * down

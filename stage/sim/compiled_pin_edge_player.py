@@ -9,9 +9,7 @@ from stage.chips import core_interface
 from stage.chips.journal_entries import INPUT
 from stage.drives import drive_dispatch
 from stage.native import array_at, exported, greatest, hot, least, record
-from stage.sim.engine import advance
-from stage.sim.engine_records import EDGE, EDGES_FULL, NEVER, REACHED, SAMPLES_FULL
-from stage.sim.stage_handle import (
+from stage.sim.compiled_stage_access import (
     HANDLE,
     get_axis_table,
     get_chip_table,
@@ -21,6 +19,8 @@ from stage.sim.stage_handle import (
     get_qvel,
     get_world,
 )
+from stage.sim.engine import advance
+from stage.sim.engine_records import EDGE, EDGES_FULL, NEVER, REACHED, SAMPLES_FULL
 from stage.sim.switch_edges import journal_input
 
 LINE_EDGE = record([(name, "i8") for name in "time axis pins levels".split()])

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stage.firmware.operation_pattern_figure import LINE, SIZE
 from stage.firmware.path_deviation import compute_path_points
-from stage.firmware.plot_move import LINE, SIZE
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
 from stage.support.plot_style import MUTED_COLOR, TEXT_COLOR, remove_frame
