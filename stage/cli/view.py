@@ -45,8 +45,9 @@ def run(args: argparse.Namespace) -> int:
         import_extra("matplotlib.figure", "drawing")
     elif not (args.text or args.json):
         check_window("`stage view --text` prints the axes, --picture draws them.")
-    model, _ = plant.compile_spec(plant.open_spec(args.model), 0)
-    print(plant.format_axes(model))
+    spec = plant.open_spec(args.model)
+    model, _ = plant.compile_spec(spec, 0)
+    print(plant.format_axes(model, spec))
     Stage(args.model)  # checks what a stage needs beyond the contract
     add_facts(args, axes=[_describe_axis(axis) for axis in plant.bind_axes(model)])
     if args.picture:

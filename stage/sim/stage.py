@@ -127,7 +127,8 @@ class Stage:
         self.model, offset = plant.compile_spec(spec, count_state_words(chip_axes, 5 * len(names)))
         integration_checks.check_integration_options(self.model)
         try:
-            self._build(names, chip_axes, axis_drives, round(bus_cycle * 1e9), offset, wiring)
+            self._plant = plant.bind_axes(self.model, names, spec)
+            self._build(chip_axes, axis_drives, round(bus_cycle * 1e9), offset, wiring)
         except BaseException:
             for chip in list_chips(chip_axes):
                 chip.detach()
@@ -135,7 +136,6 @@ class Stage:
 
     def _build(
         self,
-        names: list[str],
         chip_axes: list[ChipAxis],
         drives: list[Drive | Servo],
         bus_cycle_ns: int,
@@ -143,7 +143,6 @@ class Stage:
         wiring: WiringChoice,
     ) -> None:
         """Build the axes and the state of the stage from its chips and drives."""
-        self._plant = plant.bind_axes(self.model, names)
         self._positive = choose_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
         self._mechanics = compute_mechanics_digest(self.model)

@@ -15,7 +15,10 @@ import numpy as np
 
 from stage.errors import ArgumentError, ModelError, find_similar_names, unknown_name_error
 from stage.sim.plant.model_file_limits import check_model_size
-from stage.sim.plant.naming_contract_errors import find_nearest_name, format_actuator_line
+from stage.sim.plant.model_proposals import Proposal, propose_carriage, propose_motor
+from stage.sim.plant.naming_contract_errors import find_nearest_name, make_model_error
+
+AXIS_JOINT_TYPES = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 def list_model_names() -> list[str]:
@@ -100,24 +103,36 @@ def find_axis_names(source: Any) -> list[str]:
     Raises:
         ModelError: No joint has one.
     """
-    if isinstance(source, mujoco.MjModel):
-        joints = [source.joint(k).name for k in range(source.njnt)]
-        actuators = [source.actuator(k).name for k in range(source.nu)]
-    else:
-        joints, actuators = [j.name for j in source.joints], [a.name for a in source.actuators]
-    joints, actuators = [j for j in joints if j], [a for a in actuators if a]
+    compiled = isinstance(source, mujoco.MjModel)
+    all_joints = [source.joint(k) for k in range(source.njnt)] if compiled else list(source.joints)
+    all_actuators = [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators)
+    joints, actuators = [j.name for j in all_joints if j.name], [a.name for a in all_actuators if a.name]
     axes = [a for a in actuators if a in joints]
     if not axes:
-        slips = "".join(
-            f" Actuator {a!r} and joint {j[0]!r}: a slip?" for a in actuators if (j := find_nearest_name(a, joints))
-        )
-        raise ModelError(
-            f"the model has no axis: a joint and an actuator of the same name.{slips} Joints: "
-            f"{', '.join(joints) or 'none'}; actuators: {', '.join(actuators) or 'none'}. "
-            f"For a slide joint 'x' with a screw of 10 mm lead add {format_actuator_line('x')}",
-            [format_actuator_line("x")],
+        slips = {a: j[0] for a in actuators if (j := find_nearest_name(a, joints))}
+        movable = [j.name for j in all_joints if j.name and int(np.squeeze(j.type)) in AXIS_JOINT_TYPES]
+        raise make_model_error(
+            "the model has no axis: a joint and an actuator of the same name."
+            + "".join(f" Actuator {a!r} and joint {j!r}: a slip?" for a, j in slips.items())
+            + f" Joints: {', '.join(joints) or 'none'}; actuators: {', '.join(actuators) or 'none'}.",
+            _propose_first_axis(source, {j: a for a, j in slips.items() if j in movable}, movable),
         )
     return axes
+
+
+def _propose_first_axis(source: Any, slips: dict[str, str], joints: list[str]) -> list[Proposal]:
+    """Propose elements that give a model without axes one.
+
+    Args:
+        source: MjSpec or MjModel.
+        slips: Names of actuators, by the joint whose name is similar.
+        joints: Names of the joints that can be axes.
+    """
+    if slips:
+        return [propose_motor(source, joint, old=actuator) for joint, actuator in slips.items()]
+    if joints:
+        return [propose_motor(source, joints[0])]
+    return [propose_carriage("x"), propose_motor(source, "x")]
 
 
 def find_motor_names(source: Any) -> dict[str, str]:

@@ -13,14 +13,16 @@ import numpy as np
 from stage.errors import ModelError
 from stage.sim.engine_records import PINS
 from stage.sim.model_fingerprint import compute_fingerprint
-from stage.sim.plant.model_preparation import find_axis_names, read_texts
-from stage.sim.plant.naming_contract_errors import (
-    ModelProblems,
-    find_nearest_name,
-    format_actuator_line,
-    format_joint_line,
-    suggest_name,
+from stage.sim.plant.model_preparation import AXIS_JOINT_TYPES, find_axis_names, read_texts
+from stage.sim.plant.model_proposals import (
+    JOINT_RANGE,
+    MAX_GEAR,
+    MIN_GEAR,
+    propose_carriage,
+    propose_joint,
+    propose_motor,
 )
+from stage.sim.plant.naming_contract_errors import ModelProblems, find_nearest_name, suggest_name
 from stage.sim.plant.switch_finder import Switch, SwitchFinder
 from stage.units import POSITION_UNITS
 
@@ -62,12 +64,14 @@ class PlantAxis:
     tandem: tuple[str, ...] = ()
 
 
-def bind_axes(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[PlantAxis, ...]:
+def bind_axes(model: mujoco.MjModel, axes: Sequence[str] | None = None, source: Any = None) -> tuple[PlantAxis, ...]:
     """Find and check the axes of a model.
 
     Args:
         model: Model.
         axes: Names of the axes; default: all.
+        source: MjSpec of which the model was compiled, for the proposals of an error: its unit of angles, and the names of geoms
+            that were discarded. Default: degrees, as MuJoCo's, and no such names.
 
     Raises:
         ModelError: The model breaks the naming contract; the error lists everything that is wrong.
@@ -78,7 +82,7 @@ def bind_axes(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple
         if key not in _bound:
             if len(_bound) >= MAX_BOUND_PLANTS:
                 _bound.clear()
-            _bound[key] = _AxisBinder(model, list(names)).bind()
+            _bound[key] = _AxisBinder(model, list(names), source).bind()
         return _bound[key]
     except UnicodeDecodeError as error:
         raise ModelError(f"a name in the model is not UTF-8: {error}. Save the MJCF as UTF-8.") from error
@@ -87,10 +91,15 @@ def bind_axes(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple
 _bound: dict[tuple, tuple[PlantAxis, ...]] = {}  # by model and axes: the same model is measured once
 
 
-def format_axes(model: mujoco.MjModel) -> str:
-    """Format the axes of a model as a text table."""
+def format_axes(model: mujoco.MjModel, source: Any = None) -> str:
+    """Format the axes of a model as a text table.
+
+    Args:
+        model: Model.
+        source: MjSpec of which the model was compiled, see `bind_axes`.
+    """
     lines = [f"{'axis':6}{'kind':7}{'travel':>22}{'per turn':>12}  {'motor':16}switches trip at"]
-    for a in bind_axes(model):
+    for a in bind_axes(model, source=source):
         unit, k = POSITION_UNITS["rad" if a.hinge else "m"]
         travel = f"{a.travel[0] * k:.1f} .. {a.travel[1] * k:.1f} {unit}"
         trips = ", ".join(f"{s.pin} {s.touch * k:z.2f}" for s in a.switches) or "none fitted"
@@ -114,11 +123,13 @@ def _list_undriven_joints(model: mujoco.MjModel) -> list[str]:
 class _AxisBinder:
     """Checker of the naming contract: binds the axes of a model one by one, and collects all problems."""
 
-    def __init__(self, model: mujoco.MjModel, axes: list[str]):
+    def __init__(self, model: mujoco.MjModel, axes: list[str], source: Any):
         self.model, self.axes = model, axes
         self.problems = ModelProblems()
         self.texts = read_texts(model)
-        self.switches = SwitchFinder(model, self.problems, axes)
+        spec = source if isinstance(source, mujoco.MjSpec) else None
+        self.degrees = spec is None or bool(spec.compiler.degree)
+        self.switches = SwitchFinder(model, self.problems, axes, [g.name for g in spec.geoms] if spec else [])
 
     def bind(self) -> tuple[PlantAxis, ...]:
         """Bind all axes, or raise ModelError with everything that is wrong."""
@@ -176,23 +187,27 @@ class _AxisBinder:
         m, obj = self.model, mujoco.mjtObj
         joint, actuator = self._find_id(obj.mjOBJ_JOINT, name), self._find_id(obj.mjOBJ_ACTUATOR, name)
         if joint < 0:
+            near = self._find_near_joint(name)
             self.problems.add_problem(
                 name,
                 f"no joint {name!r}{suggest_name(m, obj.mjOBJ_JOINT, m.njnt, name, self.axes)}",
-                format_joint_line(name),
+                propose_carriage(name) if near < 0 else propose_joint(m, near, name, None, self.degrees),
+                *([propose_motor(m, name, name)] if actuator >= 0 and near >= 0 else []),
             )
         if actuator < 0:
-            near = suggest_name(m, obj.mjOBJ_ACTUATOR, m.nu, name, self.axes)
-            self.problems.add_problem(name, f"no actuator {name!r}{near}", format_actuator_line(name))
+            near_text = suggest_name(m, obj.mjOBJ_ACTUATOR, m.nu, name, self.axes)
+            drivers = [m.actuator(k).name for k in range(m.nu) if joint >= 0 and self._acts_on_joint(joint, k)]
+            old = next(filter(None, drivers), "")
+            self.problems.add_problem(name, f"no actuator {name!r}{near_text}", propose_motor(m, name, old))
         if joint < 0 or actuator < 0:
             return None
-        slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
-        if int(m.jnt_type[joint]) not in (slide, hinge):
-            self.problems.add_problem(name, f"joint {name!r} is neither slide nor hinge", format_joint_line(name))
-            return None
         low, high = (float(v) for v in m.jnt_range[joint])
+        if int(m.jnt_type[joint]) not in AXIS_JOINT_TYPES:
+            line = propose_joint(m, joint, name, None if low < high else JOINT_RANGE["slide"], self.degrees)
+            self.problems.add_problem(name, f"joint {name!r} is neither slide nor hinge", line)
+            return None
         if not low < high:
-            line = format_joint_line(name, int(m.jnt_type[joint]) == hinge)
+            line = propose_joint(m, joint, name, self.switches.find_free_travel(joint), self.degrees)
             self.problems.add_problem(name, f"joint {name!r} has no range, so its switches cannot be looked for", line)
         gear = float(m.actuator_gear[actuator][0])
         servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
@@ -202,7 +217,7 @@ class _AxisBinder:
             return None
         flag_distances = self.switches.measure_flag_distances(name, joint, low, high)
         switches_found = [
-            self.switches.find_switch(name, pin, joint, low, high, flag_distances)
+            self.switches.find_switch(name, pin, joint, low, high, flag_distances, unfitted)
             for pin in PINS
             if pin not in unfitted
         ]
@@ -210,9 +225,16 @@ class _AxisBinder:
         self.switches.check_switch_order(name, switches)
         return PlantAxis(
             name, joint, int(m.jnt_qposadr[joint]), int(m.jnt_dofadr[joint]), actuator, gear, (low, high),
-            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), servo, self._find_index_angle(name, gear, switches),
-            switches,
+            bool(m.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE), self.texts.get(f"{name}_motor"), servo,
+            self._find_index_angle(name, gear, switches), switches,
         )  # fmt: skip
+
+    def _find_near_joint(self, name: str) -> int:
+        """Return the id of a slide or hinge that is no axis itself and whose name is similar, -1 if there is none."""
+        kinds = self.model.jnt_type.tolist()
+        others = {self.model.joint(k).name: k for k, kind in enumerate(kinds) if kind in AXIS_JOINT_TYPES}
+        near = find_nearest_name(name, (other for other in others if other not in self.axes))
+        return others[near[0]] if near else -1
 
     def _check_drive(self, name: str, joint: int, actuator: int, servo: bool) -> None:
         """Check the armature of the joint, and its actuator."""
@@ -226,13 +248,13 @@ class _AxisBinder:
             )
         gear = float(m.actuator_gear[actuator][0])
         fits = self._is_dc_motor(joint, actuator) if servo else self._is_motor(joint, actuator)
-        if not fits or not 1e-6 <= abs(gear) <= 1e9:
+        if not fits or not MIN_GEAR <= abs(gear) <= MAX_GEAR:
             self.problems.add_problem(
                 name,
                 f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
                 f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
                 "chips={axis: chip}",
-                format_actuator_line(name),
+                propose_motor(self.model, name, name),
             )
 
     def _read_missing_switches(self, name: str) -> list[str]:

@@ -108,7 +108,7 @@ def new_model(axes: Sequence[NewAxis]) -> str:
     body, pairs = _build_bodies(list(axes), _choose_directions(axes))
     lines = [
         "<!-- A stage for PulseStage. Units: m, kg, s. An axis is a joint and an actuator of one name; its switches are the",
-        "     contact sensors NAME_el_plus ... `stage view --text FILE` prints the axes, or what is missing.",
+        "     contact sensors NAME_el_plus ... `stage view` prints the axes as text, or what is missing.",
         f"     Axes: {', '.join(names)}. -->",
         '<mujoco model="new">',
         '  <compiler angle="radian" autolimits="false"/>',

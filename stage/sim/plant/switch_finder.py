@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, count, pairwise
 
 import mujoco
 import numpy as np
@@ -13,7 +13,18 @@ from stage.sim import flag_distances as flag_scan
 from stage.sim import mujoco_callbacks
 from stage.sim.engine_records import PINS
 from stage.sim.mujoco_function_addresses import find_mujoco_address
-from stage.sim.plant.naming_contract_errors import ModelProblems, format_pair_line, format_sensor_line, suggest_name
+from stage.sim.plant.model_preparation import read_texts
+from stage.sim.plant.model_proposals import (
+    JOINT_RANGE,
+    FlagInterval,
+    Proposal,
+    has_pair,
+    propose_flag_geoms,
+    propose_pair,
+    propose_sensor,
+    propose_unfitted,
+)
+from stage.sim.plant.naming_contract_errors import ModelProblems, suggest_name
 
 MIN_LOOKAHEAD_M = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
 SCAN_POSITIONS = 401  # joint positions tried over the range
@@ -78,8 +89,12 @@ class Switch:
 class SwitchFinder:
     """Finder of limit switches, which moves the axes of a model over their travel and measures. Errors go to `problems`."""
 
-    def __init__(self, model: mujoco.MjModel, problems: ModelProblems, axes: Sequence[str]):
+    def __init__(
+        self, model: mujoco.MjModel, problems: ModelProblems, axes: Sequence[str], discarded_geoms: Sequence[str] = ()
+    ):
         self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes
+        self.geom_names = {*discarded_geoms, *(model.geom(k).name for k in range(model.ngeom))}
+        self.touches: dict[str, float] = {}  # of the switches found, by axis and pin
 
     def _find_sensor_id(self, name: str) -> int:
         """Return the id of a sensor by its name, -1 if there is none."""
@@ -90,19 +105,93 @@ class SwitchFinder:
         """Names of the sensors of all axes and switches: a name of another object cannot be a misspelling of one of these."""
         return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in PINS)]
 
-    def _guess_flag_geoms(self, axis: str, pin: str) -> tuple[str, str]:
-        """Guess the geoms of vane and switch of a pin from the names of the model's geoms, for the line that an error suggests.
+    def _guess_flag_geoms(self, axis: str, pin: str) -> tuple[str, str] | None:
+        """Guess the geoms of vane and switch of a pin from the names of the model's geoms; None if not both have such a name."""
+        names = [self.model.geom(k).name for k in range(self.model.ngeom)]
+        named = [name for name in names if name.startswith(f"{axis}_{pin}_")]
+        vane = next((name for name in named if "vane" in name), None)
+        switch = next((name for name in named if "vane" not in name), None)
+        return (vane, switch) if vane and switch else None
+
+    def _propose_switch(
+        self, axis: str, pin: str, joint: int, low: float, high: float, missing: list[str]
+    ) -> list[Proposal]:
+        """Propose everything that a switch needs: sensor, and pair and geoms where the model has none.
+
+        Args:
+            axis: Name of the axis.
+            pin: Pin of the switch.
+            joint: Id of the axis' joint.
+            low: Least position of the joint.
+            high: Greatest position of the joint.
+            missing: Pins of all switches that the axis does not have.
+        """
+        m = self.model
+        if self._limit_to_one_turn(joint, low, high)[2] and pin != "org":
+            exists = f"{axis}_unfitted" in read_texts(m)
+            return [propose_unfitted(axis, [p for p in missing if p != "org"], exists)]
+        geoms, proposals = self._guess_flag_geoms(axis, pin), []
+        if geoms is None:
+            geoms = self._choose_new_name(f"{axis}_{pin}_vane"), self._choose_new_name(f"{axis}_{pin}_beam")
+            interval = self._choose_flag_interval(axis, pin, joint, low, high)
+            proposals = propose_flag_geoms(m, joint, geoms, pin, PINS.index(pin), interval)
+        if not has_pair(m, *geoms):
+            proposals.append(propose_pair(m, *geoms))
+        return [*proposals, propose_sensor(m, axis, pin, *geoms)]
+
+    def _choose_new_name(self, name: str) -> str:
+        """Return a name that no geom of the model has: `name`, or `name` with a number."""
+        numbered = (f"{name}_{k}" for k in count(2))
+        return next(n for n in chain([name], numbered) if n not in self.geom_names)
+
+    def _choose_flag_interval(self, axis: str, pin: str, joint: int, low: float, high: float) -> FlagInterval:
+        """Choose where a new switch is asserted: between the hard stops, and in order with the other switches."""
+        hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        low, high, turn = self._limit_to_one_turn(joint, low, high)
+        if turn:
+            return FlagInterval((low + high) / 2 - np.radians(20), (low + high) / 2)
+        first, last = self.find_free_travel(joint, (low, high)) or (low, high)
+        rim = min(np.radians(3) if hinge else 0.006, 0.1 * (last - first))
+        minus, plus = self.touches.get(f"{axis}_el_minus", first + rim), self.touches.get(f"{axis}_el_plus", last - rim)
+        middle, half = (minus + plus) / 2, (plus - minus) / 2
+        beyond_low, beyond_high = max(low, first - rim) - rim, min(high, last + rim) + rim
+        return {
+            "el_plus": FlagInterval(plus, beyond_high),
+            "el_minus": FlagInterval(beyond_low, minus),
+            "sd_plus": FlagInterval(middle + 0.87 * half, beyond_high),
+            "sd_minus": FlagInterval(beyond_low, middle - 0.73 * half),
+            "org": FlagInterval(beyond_low, middle - 0.8 * half),
+        }[pin]
+
+    def find_free_travel(self, joint: int, travel: tuple[float, float] | None = None) -> tuple[float, float]:
+        """Find the travel of a joint from its position in the model up to hard stops.
+
+        Args:
+            joint: Id of the joint.
+            travel: Range to search in; default: 1 m, or a turn, to either side.
 
         Returns:
-            Names of vane and switch; "" if no geom or several geoms have a matching name.
+            First and last position without a hard stop. Where there is none: the end of `travel`; by default JOINT_RANGE.
         """
-        m, begins = self.model, f"{axis}_{pin}_"
-        geoms = (m.geom(k).name for k in range(m.ngeom))
-        vanes: list[str] = []
-        switches: list[str] = []
-        for name in (g for g in geoms if g.startswith(begins)):
-            (vanes if "vane" in name else switches).append(name)
-        return vanes[0] if len(vanes) == 1 else "", switches[0] if len(switches) == 1 else ""
+        hinge = bool(self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE)
+        start = float(self.model.qpos0[self.model.jnt_qposadr[joint]])
+        widest = travel or (start - (np.pi if hinge else 1.0), start + (np.pi if hinge else 1.0))
+        low, high = JOINT_RANGE["hinge" if hinge else "slide"]
+        usual = travel or (start + low, start + high)
+        if not widest[0] <= start <= widest[1]:
+            return usual
+        self._compute_sensors_at(joint, start)
+        always, ends = self._list_pushing_pairs(), []
+        for end, otherwise in zip(widest, usual, strict=True):
+            positions = np.linspace(start, end, 1 + SCAN_POSITIONS)
+            free = [start]
+            for position in positions[1:]:
+                self._compute_sensors_at(joint, position)
+                if any(pair not in always for pair in self._list_pushing_pairs()):
+                    break
+                free.append(float(position))
+            ends.append(otherwise if len(free) == len(positions) else free[-1])
+        return ends[0], ends[1]
 
     def find_switch(
         self,
@@ -112,6 +201,7 @@ class SwitchFinder:
         low: float,
         high: float,
         flag_distances: dict[tuple[int, int], np.ndarray],
+        unfitted: Sequence[str] = (),
     ) -> Switch | None:
         """Measure the switch of an axis.
 
@@ -122,17 +212,22 @@ class SwitchFinder:
             low: Least position of the joint.
             high: Greatest position of the joint.
             flag_distances: Result of `measure_flag_distances`.
+            unfitted: Pins of the switches that the model says the axis does not have.
 
         Returns:
             The switch, or None if it does not work; `problems` then has the reason.
         """
-        low, high, turn = self._limit_to_one_turn(joint, low, high)
-        m, name, sensor = self.model, f"{axis}_{pin}", self._find_contact_sensor(axis, pin)
-        if sensor is None:
+        m, name = self.model, f"{axis}_{pin}"
+        sensor, wrong = self._find_contact_sensor(axis, pin, unfitted)
+        if wrong:
+            missing = self._list_missing_pins(axis, unfitted)
+            self.problems.add_problem(axis, wrong, *self._propose_switch(axis, pin, joint, low, high, missing))
             return None
+        low, high, turn = self._limit_to_one_turn(joint, low, high)
         vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
         vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
-        pair, line = format_pair_line(vane_name, switch_name), format_sensor_line(axis, pin, vane_name, switch_name)
+        line = propose_sensor(m, axis, pin, vane_name, switch_name)
+        pair = propose_pair(m, vane_name, switch_name, -float(flag_distances[vane, switch].min()))
         at = self._find_field_addresses(sensor)
         if "FOUND" not in at or "DIST" not in at:
             self.problems.add_problem(axis, f'sensor {name!r} needs data="found dist"', line)
@@ -162,6 +257,7 @@ class SwitchFinder:
             return None
         if pin.startswith("el"):
             self._check_held_to_hard_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
+        self.touches[name] = q
         lookahead = self._measure_lookahead(joint, found_address, q, slope, low, high)
         rooms = _measure_free_travel([at for at, _ in edges], high - low)
         measured = [
@@ -172,21 +268,24 @@ class SwitchFinder:
             pin, sensor, found_address, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn
         )
 
-    def _find_contact_sensor(self, axis: str, pin: str) -> int | None:
-        """Return the id of a switch's sensor, if it is a contact sensor between two geoms."""
+    def _list_missing_pins(self, axis: str, unfitted: Sequence[str]) -> list[str]:
+        """List the pins of an axis without a sensor, and those that the model says it does not have."""
+        return [pin for pin in PINS if pin in unfitted or self._find_sensor_id(f"{axis}_{pin}") < 0]
+
+    def _find_contact_sensor(self, axis: str, pin: str, unfitted: Sequence[str]) -> tuple[int, str]:
+        """Return the id of a switch's sensor, and a text that says why it is no contact sensor between two geoms, or ""."""
         m, obj, name = self.model, mujoco.mjtObj, f"{axis}_{pin}"
-        sensor = self._find_sensor_id(name)
+        sensor, text = self._find_sensor_id(name), ""
         if sensor < 0:
             near = suggest_name(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._known_sensor_names)
-            text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
+            text, missing = f"no contact sensor {name!r}{near}", self._list_missing_pins(axis, unfitted)
+            if pin == next(p for p in missing if p not in unfitted):
+                text += f"; if the axis has no such switch: {propose_unfitted(axis, missing, False).line} in <custom>"
         elif m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
             text = f"sensor {name!r} is not a <contact> sensor"
         elif m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
             text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
-        else:
-            return sensor
-        self.problems.add_problem(axis, text, format_sensor_line(axis, pin, *self._guess_flag_geoms(axis, pin)))
-        return None
+        return sensor, text
 
     def _exerts_force(self, joint: int, position: float, pair: set[int]) -> bool:
         """Return whether two geoms push each other when the joint is at a position."""
