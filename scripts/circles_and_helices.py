@@ -38,7 +38,7 @@ class Run(NamedTuple):
     """Results of the demonstration.
 
     Attributes:
-        stage: The stage at the end.
+        machine: The stage at the end.
         homes: Report of the home search of each axis.
         parts: Begin and end of each part, s, by name.
         columns: Columns of the recording, by name.
@@ -46,7 +46,7 @@ class Run(NamedTuple):
         recording: The recording.
     """
 
-    stage: Stage
+    machine: Stage
     homes: dict[str, HomeSearchReport]
     parts: dict[str, tuple[float, float]]
     columns: dict[str, np.ndarray]
@@ -71,23 +71,23 @@ def make_rounded_rectangle(width: int, height: int, r: int) -> list[LineSegment 
 
 def run_demonstration() -> Run:
     """Run the home search, a circle with and one without constant vector speed, a helix and a contour."""
-    stage = Stage("xyz", chips=MCX514)
-    stage.place(**STARTS)
-    x, y, z = (stage.axes[name] for name in "xyz")
+    machine = Stage("xyz", chips=MCX514)
+    machine.place(**STARTS)
+    x, y, z = (machine.axes[name] for name in "xyz")
     r, parts = round(CIRCLE * MM), {}
 
     def part(
         name: str, *segments: LineSegment | ArcSegment | HelixSegment, axes: Any = (x, y), speed: PathSpeed = FINE
     ) -> None:
-        begin = stage.time
+        begin = machine.time
         print(f"{name}: {draw_path(segments, *axes, speed=speed)}")
-        parts[name] = begin, stage.time
-        stage.run(0.1)
+        parts[name] = begin, machine.time
+        machine.run(0.1)
 
-    with stage.record() as recording:
+    with machine.record() as recording:
         homes = home_search(x, y, z)
-        stage.run(0.1)
-        parts["home"] = 0.0, stage.time
+        machine.run(0.1)
+        parts["home"] = 0.0, machine.time
         print(*homes.values(), sep="\n")
         part("to the circle", LineSegment(MIDDLE[0] - 18 * MM, MIDDLE[1] - r, MIDDLE[2]), axes=(x, y, z), speed=FAST)
         part("circle", ArcSegment((0, r)))
@@ -97,8 +97,8 @@ def run_demonstration() -> Run:
         away = CORNER[0] + 6 * MM - 18 * MM, CORNER[1] + round(TURN * MM), -PITCH * REVOLUTIONS * MM
         part("to the contour", LineSegment(*away), axes=(x, y, z), speed=FAST)
         part("contour", *make_rounded_rectangle(70 * MM, 34 * MM, 6 * MM))
-    edges = {n: next(s.touch for s in a.plant.switches if s.pin == "org") for n, a in stage.axes.items()}
-    return Run(stage, homes, parts, recording.columns, edges, recording)
+    edges = {n: next(s.touch for s in a.plant.switches if s.pin == "org") for n, a in machine.axes.items()}
+    return Run(machine, homes, parts, recording.columns, edges, recording)
 
 
 def get_part_columns(run: Run, name: str, *columns: str) -> list[np.ndarray]:
@@ -148,7 +148,7 @@ def print_results(run: Run) -> None:
         off = compute_circle_deviation(run, name, "position")[1]
         print(f"{name}: carriages {off.min() * 1e6:+.1f} to {off.max() * 1e6:+.1f} um from the circle, "
               f"back within {abs(off[-1]) * 1e6:.1f} um")  # fmt: skip
-    print("lost steps:", {name: axis.lost_steps for name, axis in run.stage.axes.items()})
+    print("lost steps:", {name: axis.lost_steps for name, axis in run.machine.axes.items()})
 
 
 # --- the picture ---

@@ -256,7 +256,7 @@ INT low). FKEEP is also asserted at rest.
 **How to read the bytes.** The first byte of a row goes to address 0; any others are the bytes of a register, for the
 addresses 3, 2, 1, the last of them for address 1. Times are in ms from the first start.
 
-**How to make these moves.** The code of every pattern continues this code. `axis()` is a new chip; use `stage.axes["x"]`
+**How to make these moves.** The code of every pattern continues this code. `axis()` is a new chip; use `machine.axes["x"]`
 instead to move a carriage. `report.plot("move.png")` draws the move of `report = firmware.preset_move(...)`.
 
 ```python

@@ -6,9 +6,9 @@ python scripts/home_and_move.py        writes home.png and dual_rate.png
 from stage import Stage, firmware
 from stage.chips import PCL240K
 
-stage = Stage("xyz", chips=PCL240K)
-stage.place(x=-0.09)  # the carriage stands somewhere; the chip does not know where
-x = stage.axes["x"]
+machine = Stage("xyz", chips=PCL240K)
+machine.place(x=-0.09)  # the carriage stands somewhere; the chip does not know where
+x = machine.axes["x"]
 
 home = firmware.origin_return(x)
 print(home)

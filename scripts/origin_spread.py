@@ -18,24 +18,24 @@ DRIFT = 1e-4  # m
 METHODS = {"ORG": None, "EZ, 2nd pulse": 2}
 
 
-def measure_end_positions(stage, name, ez, drift, returns, rng):
+def measure_end_positions(machine, name, ez, drift, returns, rng):
     """Make origin returns, and return their end positions, pulses.
 
     Args:
-        stage: Stage of the axis.
+        machine: Stage of the axis.
         name: Name of the axis.
         ez: Number of the index pulse after ORG, or None.
         drift: Largest shift of the switch, m.
         returns: Number of returns.
         rng: Random generator.
     """
-    axis, beam = stage.axes[name], stage.model.geom(f"{name}_org_switch").pos
+    axis, beam = machine.axes[name], machine.model.geom(f"{name}_org_switch").pos
     low, high = (next(s.touch for s in axis.plant.switches if s.pin == pin) for pin in ("el_minus", "el_plus"))
     home, ends, method = beam.copy(), [], "xyz".index(name)
     for _ in range(returns):
-        stage.reset()
+        machine.reset()
         beam[method] = home[method] + rng.uniform(-drift, drift)
-        stage.place(**{name: rng.uniform(low + 5e-4, high - 5e-4)})
+        machine.place(**{name: rng.uniform(low + 5e-4, high - 5e-4)})
         report = firmware.origin_return(axis, ez=ez)
         assert report.ok, report
         ends.append(report.position / axis.meters_per_pulse)
@@ -77,15 +77,17 @@ def main():
             import_extra("matplotlib", "the picture")
         except ExtraMissing as missing:
             parser.exit(2, f"{missing}\n")
-    stage, positions = Stage("xyz", chips=PCL240MS), {}
+    machine, positions = Stage("xyz", chips=PCL240MS), {}
     print(f"{args.returns} returns each, seed {args.seed}; largest minus smallest final position, pulses of 3.125 um")
     print(f"{'axis':6}{'ends at':16}{'switch stays':>14}{f'drifts {DRIFT * 1e3:g} mm':>16}")
-    for name in stage.axes:
+    for name in machine.axes:
         for k, (method, ez) in enumerate(METHODS.items()):
             spreads = []
             for drift in (0.0, DRIFT):
                 rng = np.random.default_rng([args.seed, ord(name), k])
-                positions[name, method, drift] = ends = measure_end_positions(stage, name, ez, drift, args.returns, rng)
+                positions[name, method, drift] = ends = measure_end_positions(
+                    machine, name, ez, drift, args.returns, rng
+                )
                 spreads.append(np.ptp(ends))
             print(f"{name:6}{method:16}{spreads[0]:>14.2f}{spreads[1]:>16.2f}", flush=True)
     if args.picture:

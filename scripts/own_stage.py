@@ -39,8 +39,8 @@ XML = """
 </mujoco>
 """
 
-stage = Stage(mujoco.MjSpec.from_string(XML), chips=PCL240K)
-print(firmware.origin_return(stage.axes["x"], high_speed=False, profile=firmware.Profile.of(fl=3000, fh1=6000)))
+machine = Stage(mujoco.MjSpec.from_string(XML), chips=PCL240K)
+print(firmware.origin_return(machine.axes["x"], high_speed=False, profile=firmware.Profile.of(fl=3000, fh1=6000)))
 
 try:
     Stage(mujoco.MjSpec.from_string(XML.replace('name="x_org"', 'name="x_orig"')), chips=PCL240K)

@@ -142,23 +142,23 @@ def power_up(model: str) -> tuple[Stage, Any]:
     Its motors have no core loss: the page shows what the shape of a ramp does, near the limit of an ideal motor.
     """
     motor = replace(MOTORS["17HS4401"], core_loss_resistance=None)
-    stage = Stage(model, chips=PCL240MS, drives=motor)
-    stage.place(x=-0.13)
-    stage.run(0.05)
-    return stage, stage.snapshot()
+    machine = Stage(model, chips=PCL240MS, drives=motor)
+    machine.place(x=-0.13)
+    machine.run(0.05)
+    return machine, machine.snapshot()
 
 
-def move(stage: Stage, shape: Shape, rate: float, ramp: float, pulses: int) -> Report:
+def move(machine: Stage, shape: Shape, rate: float, ramp: float, pulses: int) -> Report:
     """Make a preset move of X, whose automatic ramp-down begins five pulses early, so that these are made at FL; return the report.
 
     Args:
-        stage: Stage to move.
+        machine: Stage to move.
         shape: Shape of the ramps.
         rate: FH, pps.
         ramp: Duration of each ramp, s.
         pulses: Distance, pulses.
     """
-    return firmware.preset_move(stage.axes["x"], pulses, shape.profile(rate, ramp), automatic=True, down_point=AT_FL)
+    return firmware.preset_move(machine.axes["x"], pulses, shape.profile(rate, ramp), automatic=True, down_point=AT_FL)
 
 
 def run(shape: Shape, rate: float, ramp: float, pulses: int, model: str = "xy_mast", rest: float = 0.2) -> Run:
@@ -175,16 +175,16 @@ def run(shape: Shape, rate: float, ramp: float, pulses: int, model: str = "xy_ma
     Returns:
         The samples.
     """
-    stage, begin = power_up(model)
-    stage.restore(begin)
-    with stage.record(every=EVERY) as recording:
-        began = stage.time
-        report = move(stage, shape, rate, ramp, pulses)
-        stage.run(rest)
+    machine, begin = power_up(model)
+    machine.restore(begin)
+    with machine.record(every=EVERY) as recording:
+        began = machine.time
+        report = move(machine, shape, rate, ramp, pulses)
+        machine.run(rest)
     columns = recording.columns
     seconds, bend = columns["time"] - began - report.began, np.zeros(len(recording))
     if model == "xy_mast":
-        at = stage.model.joint("camera_x").qposadr[0]
+        at = machine.model.joint("camera_x").qposadr[0]
         bend = np.concatenate([piece["qpos"][:, at] for piece in recording.pieces()])
     error, lost = columns["x/following_error"], report.lost_steps or 0
     return Run(seconds, columns["x/rate"], error, bend, report.duration, lost)
@@ -192,9 +192,9 @@ def run(shape: Shape, rate: float, ramp: float, pulses: int, model: str = "xy_ma
 
 def keeps_step(shape: Shape, rate: float, ramp: float, pulses: int = LONG) -> bool:
     """Return whether a move of the bare xyz stage loses no step."""
-    stage, begin = power_up("xyz")
-    stage.restore(begin)
-    return not move(stage, shape, rate, ramp, pulses).lost_steps
+    machine, begin = power_up("xyz")
+    machine.restore(begin)
+    return not move(machine, shape, rate, ramp, pulses).lost_steps
 
 
 @dataclass(frozen=True)
@@ -409,8 +409,8 @@ def draw_the_highest_rates(ax: Any) -> None:
 
 
 def draw_the_thrust(ax: Any) -> None:
-    stage = power_up("xyz")[0]
-    x, model = stage.axes["x"], stage.model
+    machine = power_up("xyz")[0]
+    x, model = machine.axes["x"], machine.model
     dof = int(model.joint("x").dofadr[0])
     mass = model.body_subtreemass[model.body("x").id] + model.dof_armature[dof]
     part = np.linspace(0, 1, 400)

@@ -67,9 +67,9 @@ class Trapezoid(NamedTuple):
 
 def make_stage_at(**places: float) -> Stage:
     """Make a servo stage with its carriages at the given positions, m, by axis."""
-    stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
-    stage.place(**places)
-    return stage
+    machine = Stage("xyz_servo", chips=HCTL1100, visuals=False)
+    machine.place(**places)
+    return machine
 
 
 def commands(port: ChipPort, begin: int, samples: int) -> np.ndarray:
@@ -98,19 +98,19 @@ def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str
         counts: Distance, counts.
         name: Name of the axis.
     """
-    stage = make_stage_at(x=-0.05)
-    axis = stage.axes[name]
+    machine = make_stage_at(x=-0.05)
+    axis = machine.axes[name]
     port = set_up_servo(axis, tuning)
-    stage.run(0.1)
+    machine.run(0.1)
     at, zero = port.read_command_position(), round(axis.commanded / axis.meters_per_pulse)
-    with stage.record(every=STEP) as recording:
+    with machine.record(every=STEP) as recording:
         while port.chip.read(maps.TIMER) < port.t // 2:  # the profile begins with the next sample
-            stage.run(port.count)
-        first = stage.time + (port.chip.read(maps.TIMER) + 0.5) * port.count
+            machine.run(port.count)
+        first = machine.time + (port.chip.read(maps.TIMER) + 0.5) * port.count
         report = move_by_trapezoid(port, counts, velocity=VELOCITY, acceleration=ACCELERATION)
-        stage.run(0.1)
+        machine.run(0.1)
     columns = recording.columns
-    when = first + port.sample * np.arange(-1, int((stage.time - first) / port.sample) - 1)
+    when = first + port.sample * np.arange(-1, int((machine.time - first) / port.sample) - 1)
     command = zero + commands(port, at, len(when) - 1) - at
     position = np.interp(when, columns["time"], columns[f"{name}/position"]) / axis.meters_per_pulse
     predicted = ServoLoop.from_axis(axis, tuning).compute_following_error(command)
@@ -123,13 +123,13 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     Args:
         early: Write each command at the beginning of a sample, not in its safe part.
     """
-    stage = make_stage_at(x=-0.05)
-    axis = stage.axes["x"]
+    machine = make_stage_at(x=-0.05)
+    axis = machine.axes["x"]
     port = set_up_servo(axis, TUNING)
     at = port.read_command_position()
-    with stage.record(every=STEP) as recording:
+    with machine.record(every=STEP) as recording:
         for k in range(1, LINE + 1):
-            stage.run((port.chip.read(maps.TIMER) + 2) * port.count)  # the next sample has begun
+            machine.run((port.chip.read(maps.TIMER) + 2) * port.count)  # the next sample has begun
             if not early:
                 port.wait_for_safe_part()
             port.write_numbers(command_position=at + SLOW * k)
@@ -144,22 +144,22 @@ def run_circle(sync: bool, leader_only: bool, tuning: FilterTuning = TUNING) -> 
     Returns:
         Angle in turns; distance from the circle that begins where the carriages stand, um; number of commands written too early.
     """
-    stage = make_stage_at(x=0.0, y=-0.03, z=-0.03)
+    machine = make_stage_at(x=0.0, y=-0.03, z=-0.03)
     for name, counts in PHASES.items():
-        stage.run(counts * 16 / stage.axes[name].chip.clock_hz)
-        stage.axes[name].chip.write(maps.MODE, RESET)  # a reset: its sample begins now
-    ports = [set_up_servo(stage.axes[name], tuning) for name in "xyz"]
+        machine.run(counts * 16 / machine.axes[name].chip.clock_hz)
+        machine.axes[name].chip.write(maps.MODE, RESET)  # a reset: its sample begins now
+    ports = [set_up_servo(machine.axes[name], tuning) for name in "xyz"]
     if sync:
         synchronize_sample_timers(ports)
-    stage.run(0.2)
+    machine.run(0.2)
     for port in ports:
         port.chip.diagnostics.clear()
-    start = [axis.position for axis in stage.axes.values()]
-    with stage.record(every=STEP) as recording:
+    start = [axis.position for axis in machine.axes.values()]
+    with machine.record(every=STEP) as recording:
         profile = compute_circle_positions(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=3)
         stream_positions(ports, profile, leader_only=leader_only)
     c = recording.columns
-    radius = RADIUS * stage.axes["x"].meters_per_pulse
+    radius = RADIUS * machine.axes["x"].meters_per_pulse
     places = np.stack([c[f"{name}/position"] - s for name, s in zip("xyz", start, strict=True)], axis=1)
     revolutions = np.unwrap(np.arctan2(places[:, 0], radius - places[:, 1:].sum(axis=1) * np.sqrt(0.5))) / (2 * np.pi)
     torn = sum("while the sample is computed" in d.message for port in ports for d in port.chip.diagnostics)

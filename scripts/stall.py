@@ -6,8 +6,8 @@ python scripts/stall.py
 from stage import Stage, firmware
 from stage.chips import PCL240K
 
-stage = Stage("xyz", chips=PCL240K)
-x = stage.axes["x"]
+machine = Stage("xyz", chips=PCL240K)
+x = machine.axes["x"]
 firmware.origin_return(x)
 home = x.position
 

@@ -3,8 +3,8 @@
     from stage import Stage, firmware
     from stage.chips import PCL240K
 
-    stage = Stage("xyz", chips=PCL240K)
-    print(firmware.origin_return(stage.axes["x"]))
+    machine = Stage("xyz", chips=PCL240K)
+    print(firmware.origin_return(machine.axes["x"]))
 
 Importing this package is cheap: MuJoCo and the compiled loop load with the first `Stage`.
 """

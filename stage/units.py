@@ -70,6 +70,23 @@ def parse_integer(text: str) -> int | None:
     return sign * int(digits, {"0x": 16, "0b": 2}.get(digits[:2].lower(), 10))
 
 
+def format_lost_steps(steps: int, pulses: int, ahead: bool = False) -> str:
+    """Format lost steps in both units that users meet, as "400 full steps (6400 pulses) lost", whichever way the axis went.
+
+    Args:
+        steps: Full steps, signed.
+        pulses: The same in pulses.
+        ahead: Whether the carriage went farther than its pulses, in the direction of the move.
+    """
+    count = format_step_count(steps, pulses) if steps else "0 full steps"
+    return f"{count} {'too far' if ahead else 'lost'}"
+
+
+def format_step_count(steps: int, pulses: int) -> str:
+    """Format a signed number of full steps and of pulses for a column of a table: "400 full steps (6400 pulses)", or "0"."""
+    return f"{abs(steps)} full steps ({abs(pulses)} pulses)" if steps else "0"
+
+
 def identify_unit(text: str) -> tuple[str, str] | None:
     """Return the unit of a number and its quantity, as ("kg", "mass") of "2kg"; None where there is no such unit."""
     for quantity, factors in FACTORS_BY_QUANTITY.items():

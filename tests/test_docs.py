@@ -5,6 +5,8 @@ line is `# NAME.py` is that file. Blocks of a page run in one empty folder. What
 above it: `<!-- not run: REASON -->`.
 """
 
+import ast
+import json
 import re
 import shlex
 import subprocess
@@ -19,6 +21,7 @@ from support.pages import agree
 
 from stage.cli import build_parser, main
 from stage.cli.package_commands import KNOWN_PACKAGES
+from stage.support import examples
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -97,6 +100,34 @@ def test_python_blocks_run_and_print_what_the_page_says(page, tmp_path, monkeypa
         output = capsys.readouterr().out
         if block.prints:
             assert agree(output, block.prints), f"{page.name}:{block.line} prints\n{output}"
+
+
+def list_examples():
+    """The Python that readers copy: blocks of pages, cells of notebooks, and the programs of `stage example`."""
+    for page in PAGES:
+        for block in find_code_blocks(page):
+            yield f"{page.name}:{block.line}", block.code
+    for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        for k, cell in enumerate(json.loads(path.read_text())["cells"]):
+            if cell["cell_type"] == "code":
+                yield (
+                    f"{path.name}, cell {k}",
+                    "".join(line for line in cell["source"] if not line.startswith(("%", "!"))),
+                )
+    for path in map(Path, examples.EXAMPLE_PATHS.values()):
+        if path.suffix == ".py":
+            yield path.name, (ROOT / path).read_text()
+
+
+def test_no_example_rebinds_the_name_of_the_package():
+    """`stage = Stage(...)` after `import stage.envs` takes the package away from the rest of a reader's program."""
+    rebound = [
+        f"{where}: line {node.lineno}"
+        for where, code in list_examples()
+        for node in ast.walk(ast.parse(code))
+        if isinstance(node, ast.Name) and node.id == "stage" and isinstance(node.ctx, ast.Store)
+    ]
+    assert not rebound
 
 
 def test_agree_detects_a_changed_word_unit_or_number():

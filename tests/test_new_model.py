@@ -105,7 +105,7 @@ def test_the_command_writes_a_model_that_the_other_commands_take(tmp_path, capsy
     assert "--force" in capsys.readouterr().err
     assert main(["move", "x", "2mm", "--model", file]) == 0
     assert main(["move", "a", "30deg", "--model", file]) == 0
-    assert "lost steps 0" in capsys.readouterr().out
+    assert "0 full steps lost" in capsys.readouterr().out
 
 
 def test_axes_of_radians_and_centimetres_are_the_same_lengths():

@@ -1,7 +1,7 @@
 """`replay_capture`: play the edges of a logic analyzer's capture of a real controller into STEP/DIR axes of a stage.
 
-stage = Stage("xyz", chips="stepdir", drives="drv8825")
-report = replay_capture(stage, "capture.vcd", "x.step=D2,x.dir=D5")
+machine = Stage("xyz", chips="stepdir", drives="drv8825")
+report = replay_capture(machine, "capture.vcd", "x.step=D2,x.dir=D5")
 print(report)
 """
 
@@ -21,7 +21,7 @@ from stage.firmware.axis import check_seconds
 from stage.recording.vcd_reader import Capture, CaptureError, read_capture
 from stage.sim.pin_edge_player import LINE_EDGE, LineObservation, play_pin_edges
 from stage.support.argument_checks import explain_arguments
-from stage.units import DEVIATION_UNITS, POSITION_UNITS
+from stage.units import DEVIATION_UNITS, POSITION_UNITS, format_lost_steps
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -84,6 +84,7 @@ class AxisReplay:
         comparisons: Comparisons of the capture's switch lines with the stage's switches.
         violations: Messages about times between edges that were too short for the power stage, each with its number of cases.
         has_direction: Whether `pins` names a DIR line of the axis; without one, all steps count as plus.
+        lost_pulses: Lost steps in pulses.
     """
 
     axis: str
@@ -101,6 +102,7 @@ class AxisReplay:
     comparisons: tuple[SwitchComparison, ...]
     violations: tuple[tuple[str, int], ...]
     has_direction: bool = True
+    lost_pulses: int = 0
 
     @property
     def ok(self) -> bool:
@@ -110,7 +112,8 @@ class AxisReplay:
     def __str__(self) -> str:
         unit, deviation = POSITION_UNITS[self.unit], DEVIATION_UNITS[self.unit]
         lines = [
-            f"{self.axis}: {self.accepted:,} of {self.edges:,} steps accepted, {self.lost_steps} full steps lost",
+            f"{self.axis}: {self.accepted:,} of {self.edges:,} steps accepted, "
+            f"{format_lost_steps(self.lost_steps, self.lost_pulses)}",
             f"  from {unit.format(self.start)} to {unit.format(self.position)}, commanded {unit.format(self.commanded)}",
             f"  largest following error {deviation.format(self.largest_error, '.1f')} at {self.error_time:.6f} s",
         ]
@@ -233,7 +236,8 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
     begin = stage.now
     axes = [stage.axes[name] for name in dict.fromkeys(line.axis for line in lines)]
     before = [
-        (a.position, a.lost_steps, int(a.chip.state["accepted"]), a.chip.state["violations"].copy()) for a in axes
+        (a.position, a.lost_steps, a.lost_pulses, int(a.chip.state["accepted"]), a.chip.state["violations"].copy())
+        for a in axes
     ]
     inputs = [axis.chip.input_word(axis.chip_axis) for axis in axes]
     observation = play_pin_edges(stage, edges, begin + duration_ns + round(rest * 1e9))
@@ -324,9 +328,9 @@ def _report_axis(
         observation: Observations of the stage.
         begin: Time at which the capture began, ns.
         inputs: Input pins of the axis at that time.
-        *before: Position, lost steps, accepted steps and violations at that time.
+        *before: Position, lost steps, lost pulses, accepted steps and violations at that time.
     """
-    start, lost_steps, accepted, violations = before
+    start, lost_steps, lost_pulses, accepted, violations = before
     state = axis.chip.state
     steps = np.concatenate([np.zeros(0, np.int64), *(c.find_rising_edges() for c in changes if c.line.line == "step")])
     was_enabled = bool(inputs & axis.chip.INPUTS["enable"])
@@ -339,7 +343,7 @@ def _report_axis(
         (int(observation.error_times[axis.index]) - begin) * 1e-9, tuple(_list_switch_edges(axis, words, times)),
         tuple(_compare_switch(axis, c, words, times) for c in changes if c.line.line not in DRIVEN),
         tuple(_count_violations(axis, state["violations"] - violations)),
-        any(c.line.line == "dir" for c in changes),
+        any(c.line.line == "dir" for c in changes), axis.lost_pulses - lost_pulses,
     )  # fmt: skip
 
 

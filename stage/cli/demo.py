@@ -13,7 +13,7 @@ from stage.cli.stage_setup import make_stage
 from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError
 from stage.support.extras import is_installed
-from stage.units import POSITION_UNITS
+from stage.units import POSITION_UNITS, format_step_count
 
 START_PLACES = (0.1962, -0.1435, 0.177)
 """Positions at which the carriages happen to stand, from the middle of their travel, as shares of the travel."""
@@ -166,7 +166,8 @@ def format_row(report: Any) -> tuple[str, ...]:
     good = report.ok and (report.stopped_by == "ORG" or report.asked is not None)
     return (
         report.axis, report.procedure, asked, f"{report.pulses:+d}", f"{report.duration:.3f}", f"{report.peak_rate:,.0f}",
-        POSITION_UNITS[report.unit].format(report.position), str(report.lost_steps), report.stopped_by, "yes" if good else "NO",
+        POSITION_UNITS[report.unit].format(report.position), format_step_count(report.lost_steps, report.lost_pulses or 0),
+        report.stopped_by, "yes" if good else "NO",
     )  # fmt: skip
 
 

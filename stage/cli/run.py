@@ -25,7 +25,7 @@ from stage.cli.panel import keep_panel, run_in_real_time, show_panel
 from stage.cli.stage_setup import make_board
 from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError, StageError
-from stage.units import POSITION_UNITS
+from stage.units import POSITION_UNITS, format_step_count
 
 MAX_DIAGNOSTICS = 10
 """Diagnostics of a chip that a report prints."""
@@ -369,9 +369,9 @@ def _print_axes(stage: Any) -> None:
     for axis in stage.axes.values():
         on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
         unit_of_axis = POSITION_UNITS[axis.unit]
-        places = axis.position, axis.commanded
+        places, lost = (axis.position, axis.commanded), format_step_count(axis.lost_steps, axis.lost_pulses)
         position, commanded = (unit_of_axis.format(q) if mixed else f"{q * unit_of_axis.factor:.4f}" for q in places)
-        print(f"{axis.name:6}{position:>18}{commanded:>19}{axis.lost_steps:6}  {on}".rstrip())
+        print(f"{axis.name:6}{position:>18}{commanded:>19}{lost:>6}  {on}".rstrip())
 
 
 def _print_diagnostics(name: str, chip: Any) -> None:

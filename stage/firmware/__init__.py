@@ -2,9 +2,9 @@
 
     from stage import Stage, firmware
 
-    stage = Stage("xyz", chips="mcx514")
-    print(firmware.home(stage.axes["x"]))
-    print(firmware.move(stage.axes["x"], 10e-3))
+    machine = Stage("xyz", chips="mcx514")
+    print(firmware.home(machine.axes["x"]))
+    print(firmware.move(machine.axes["x"], 10e-3))
 
 move, home, square_gantry, line, jog and stop work with every chip. begin_move, begin_home, begin_jog and begin_stop return at
 once, and the action goes on while time passes; `read_axis_state` shows an axis to any thread. preset_move, origin_return and

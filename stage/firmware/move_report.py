@@ -14,7 +14,7 @@ from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.support import html
-from stage.units import POSITION_UNITS
+from stage.units import POSITION_UNITS, format_lost_steps
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -48,6 +48,7 @@ class Report:
         waveforms: Waveforms of the chip's pins and speed, by the clock.
         statements: Decoded bytes that the host wrote: commands, and registers with all their bytes.
         unit: "m", or "rad" on a hinge.
+        lost_pulses: Lost steps in pulses; None without a motor.
         missing_current: Why the motor has no current afterwards, for example "ENABLE is not asserted"; "" if it has.
     """
 
@@ -66,6 +67,7 @@ class Report:
     statements: tuple[Statement, ...] = field(repr=False)
     unit: str = "m"
     missing_current: str = ""
+    lost_pulses: int | None = None
 
     @property
     def ok(self) -> bool:
@@ -103,11 +105,16 @@ class Report:
         if self.position is not None and self.start is not None:
             lines.append(
                 f"  from {POSITION_UNITS[self.unit].format(self.start)} to {POSITION_UNITS[self.unit].format(self.position)}, "
-                f"lost steps {self.lost_steps}"
+                f"{self.describe_loss()}"
             )
         if self.missing_current:
             lines.append(f"  the motor has no current: {self.missing_current}")
         return "\n".join(lines)
+
+    def describe_loss(self) -> str:
+        """Describe the lost steps in full steps and in pulses; a carriage that went farther than its pulses went "too far"."""
+        lost = self.lost_steps or 0
+        return format_lost_steps(lost, self.lost_pulses or 0, ahead=lost * self.pulses < 0)
 
     def _describe_undershoot(self) -> str:
         """Describe how far the down counter has counted below 0; "" if it has not."""
@@ -208,6 +215,7 @@ class ProcedureObserver:
         self.journal = self.axis.chip.journal(self.axis.chip_axis)
         self.began = self.axis.time
         self._position, self._lost = self.axis.position, self.axis.lost_steps
+        self._lost_pulses = getattr(self.axis, "lost_pulses", None)
         self._net = self.axis.chip.net(self.axis.chip_axis)
         return self
 
@@ -243,10 +251,11 @@ class ProcedureObserver:
         waveforms = self.journal.replay_waveforms()
         net, running, seconds = waveforms.edges["net"], np.flatnonzero(waveforms.running), waveforms.seconds
         duration = float(seconds[min(running[-1] + 1, len(net) - 1)] - seconds[running[0]]) if len(running) else 0.0
-        lost = axis.lost_steps
+        lost, lost_pulses = axis.lost_steps, getattr(axis, "lost_pulses", None)
         return Report(
             self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(compute_rates(waveforms).max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
             stopped_by, residual, waveforms, tuple(decode(axis.chip.decoder(axis.chip_axis), self.journal.entries)),
             getattr(axis, "unit", "m"), axis.chip.explain_missing_current(axis.chip_axis),
+            None if lost_pulses is None else lost_pulses - (self._lost_pulses or 0),
         )  # fmt: skip

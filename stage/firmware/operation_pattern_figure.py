@@ -92,7 +92,7 @@ def _draw_heading(figure: Any, report: Report, title: str | None, height: float)
     name = title or f"{report.procedure[:1].upper()}{report.procedure[1:]}, axis {report.axis}"
     summary = f"{_format_signed(report.pulses)} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
     if report.lost_steps:
-        summary += f", {report.lost_steps} steps lost"
+        summary += f", {report.describe_loss()}"
     figure.text(LEFT / WIDTH, y, name, color=TEXT_COLOR, fontsize=11, weight="bold", va="center")
     figure.text(1 - 0.12 / WIDTH, y, summary, color=MUTED_COLOR, fontsize=8.5, ha="right", va="center")
 

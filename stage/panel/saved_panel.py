@@ -105,21 +105,21 @@ PROGRAM = (  # ns, chip, address, value; None: a read
 )
 
 
-def play(stage):
+def play(machine):
     \"\"\"Each cycle ends at its time.\"\"\"
-    cycle = round(stage.bus_cycle * 1e9)
+    cycle = round(machine.bus_cycle * 1e9)
     for ns, chip, address, value in PROGRAM:
-        stage.run_to(ns - cycle)
+        machine.run_to(ns - cycle)
         if value is None:
-            stage.chips[chip].read(address)
+            machine.chips[chip].read(address)
         else:
-            stage.chips[chip].write(address, value)
-    stage.run_to(END)
+            machine.chips[chip].write(address, value)
+    machine.run_to(END)
 
 
 {function}
-    stage = {stage}
-{loads}    play(stage)
+    machine = {stage}
+{loads}    play(machine)
 """
 C = """\
 /* What was done on a panel: {command} */
@@ -155,7 +155,7 @@ def _write_python(panel: Panel, saved: SavedPanel, now: int, function: str) -> s
         f"    ({s.ns}, {s.chip}, {s.address}, {s.value}),{f'  # {words}' if words else ''}"
         for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True)
     )
-    loads = "".join(f"    stage.set_payload({kg!r}, {body!r})\n" for body, kg in saved.payloads.items() if kg)
+    loads = "".join(f"    machine.set_payload({kg!r}, {body!r})\n" for body, kg in saved.payloads.items() if kg)
     stage = write_stage_call(saved.stage_options or {})
     names = "Drive, Stage" if "Drive(" in stage else "Stage"
     return PYTHON.format(names=names, end=now, rows=rows, function=function, stage=stage, loads=loads)
@@ -174,7 +174,7 @@ def to_python(panel: Panel, saved: SavedPanel, now: int) -> str:
     """
     title = f"The panel's program, {len(saved.sent)} bus cycles in {now * 1e-9:.3f} s of simulated time."
     text = _write_python(panel, saved, now, 'if __name__ == "__main__":')
-    return f'"""{title}"""\n\n{text}    for axis in stage.axes.values():\n        print(axis)\n'
+    return f'"""{title}"""\n\n{text}    for axis in machine.axes.values():\n        print(axis)\n'
 
 
 def to_pytest(panel: Panel, saved: SavedPanel, now: int) -> str:
@@ -182,11 +182,11 @@ def to_pytest(panel: Panel, saved: SavedPanel, now: int) -> str:
     text = _write_python(panel, saved, now, "def test_what_was_done_on_the_panel():")
     stage = panel.session.stage
     for name, axis in stage.axes.items():
-        text += f"    assert stage.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)\n"
-        text += f"    assert stage.axes[{name!r}].lost_steps == {axis.lost_steps}\n"
+        text += f"    assert machine.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)\n"
+        text += f"    assert machine.axes[{name!r}].lost_steps == {axis.lost_steps}\n"
     for k, chip in enumerate(stage.chips):
         messages = [d.message for d in chip.diagnostics]
-        text += f"    assert [d.message for d in stage.chips[{k}].diagnostics] == {messages!r}\n"
+        text += f"    assert [d.message for d in machine.chips[{k}].diagnostics] == {messages!r}\n"
     return f'"""What was done on a panel, as a test."""\n\nimport pytest\n\n{text}'
 
 

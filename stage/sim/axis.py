@@ -16,7 +16,7 @@ from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
 from stage.support import html
 from stage.support.argument_checks import check_integer, explain_arguments
 from stage.support.declared_attributes import DeclaredAttributes
-from stage.units import POSITION_UNITS
+from stage.units import POSITION_UNITS, format_lost_steps
 
 PLAYED_PULSES = 1 << 16
 """Number of pulses whose edges are in memory at a time."""
@@ -262,6 +262,11 @@ class Axis(DeclaredAttributes):
         return float(q + any_drive.compute_lag(d, net, q * self.gear) / self.gear)
 
     @property
+    def lost_pulses(self) -> int:
+        """Lost steps in pulses: `lost_steps` times the microsteps of the drive. 0 for a servo."""
+        return self.lost_steps * getattr(self.drive, "microsteps", 0)
+
+    @property
     def lost_steps(self) -> int:
         """Full steps by which the rotor lags the pulses, a multiple of four, computed from the rotor's angle. 0 for a servo."""
         d, net = self.read_drive()
@@ -363,7 +368,7 @@ def format_axes_table(axes: Iterable[Axis]) -> str:
                 a.drive.title,
                 place(a.position),
                 place(a.commanded),
-                a.lost_steps,
+                format_lost_steps(a.lost_steps, a.lost_pulses),
                 on or "-",
             )
         )

@@ -2,8 +2,8 @@
 
     from stage import Stage, faults, firmware
 
-    stage = Stage("xyz")
-    x = stage.axes["x"]
+    machine = Stage("xyz")
+    x = machine.axes["x"]
     with faults.phase_open(x, "a"):
         print(firmware.preset_move(x, 3200))
 

@@ -1,9 +1,9 @@
 """`Stage`: chips, drives, motors and a MuJoCo stage under one clock.
 
-    stage = Stage("xyz", chips=PCL240K)
-    stage.axes["x"].chip.write(0, 0x10)          a bus cycle; takes `bus_cycle` seconds of simulated time
-    stage.run(0.5)
-    stage.axes["x"].position                     the true position in meters; .commanded is the position by the pulses
+    machine = Stage("xyz", chips=PCL240K)
+    machine.axes["x"].chip.write(0, 0x10)          a bus cycle; takes `bus_cycle` seconds of simulated time
+    machine.run(0.5)
+    machine.axes["x"].position                     the true position in meters; .commanded is the position by the pulses
 
 Promises, each with a test: the same stage, program and seed give the same bits; a run of n steps then m is a run of n + m;
 snapshot, restore, copy and pickle continue bit for bit; an error leaves the state as it was.

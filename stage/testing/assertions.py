@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from stage.chips.write_diagnostics import describe_mistakes
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
-from stage.units import DEVIATION_UNITS, POSITION_UNITS
+from stage.units import DEVIATION_UNITS, POSITION_UNITS, format_lost_steps
 
 if TYPE_CHECKING:
     from stage.board import Board
@@ -70,7 +70,8 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
             f"{axis.name} is not where it was expected, at {axis.time:.6f} s:",
             f"  expected  {format_position(position, unit)} +- {format_deviation(within, unit)}",
             f"  is at     {format_position(at, unit)}: {format_deviation(at - position, unit, sign=True)}, {side} it",
-            f"  commanded {format_position(axis.commanded, unit)} by its pulses, {axis.lost_steps} full steps lost",
+            f"  commanded {format_position(axis.commanded, unit)} by its pulses, "
+            f"{format_lost_steps(axis.lost_steps, axis.lost_pulses)}",
         ]
         if read_pulse_rate(axis):
             lines.append(

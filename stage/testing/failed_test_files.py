@@ -23,6 +23,7 @@ from stage.sim import plant
 from stage.sim.stage import Snapshot, Stage
 from stage.testing.assertions import describe_missing_current, format_position, read_pulse_rate
 from stage.testing.marker_arguments import read_setting
+from stage.units import format_lost_steps
 
 if TYPE_CHECKING:
     from stage.board import Board
@@ -111,7 +112,7 @@ class FailedTestFiles:
             rate = read_pulse_rate(axis)
             lines.append(
                 f"  {axis.name} ({type(axis.chip).__name__}) at {format_position(axis.position, axis.unit)}, commanded "
-                f"{format_position(axis.commanded, axis.unit)}, {axis.lost_steps} full steps lost, "
+                f"{format_position(axis.commanded, axis.unit)}, {format_lost_steps(axis.lost_steps, axis.lost_pulses)}, "
                 + (f"{rate:+,.0f} pulses/s" if rate else "no pulses")
                 + (f", asserted: {on}" if on else "")
                 + describe_missing_current(axis)

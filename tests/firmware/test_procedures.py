@@ -1,6 +1,7 @@
 """One driver a family: move, home, line, jog and stop with every chip, in physical units, with the same report."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -558,6 +559,23 @@ def test_s_curves_are_refused_by_chips_without_them():
     assert early[0] == pytest.approx(1000 + 15_000 * 0.02 / 0.15, rel=0.05)
     assert early[1] == pytest.approx(1000 + 15_000 * 2 * (0.02 / 0.15) ** 2, rel=0.1), "the acceleration begins at 0"
     assert curved.pulses == straight.pulses == 8000
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_report_says_lost_steps_in_full_steps_and_in_pulses_in_both_directions(sign):
+    x = Stage("xyz", chips="pcl240k", drives=Drive("17HS4401", microsteps=8), visuals=False).axes["x"]
+    report = firmware.move(x, sign * 20e-3, speed=0.9, accel=1e-3)
+    lost = abs(report.lost_steps)
+    assert lost > 100
+    assert report.lost_pulses == 8 * report.lost_steps
+    assert report.lost_steps * sign > 0, "the number keeps its sign: commanded minus true"
+    assert f", {lost} full steps ({8 * lost} pulses) lost" in str(report), "the text says how many"
+
+
+def test_a_carriage_beyond_its_pulses_is_reported_as_such():
+    report = replace(firmware.move(Stage("xy", visuals=False).axes["x"], 1e-3), lost_steps=-12, lost_pulses=-192)
+    assert "12 full steps (192 pulses) too far" in str(report)
+    assert "0 full steps lost" in str(replace(report, lost_steps=0, lost_pulses=0))
 
 
 @pytest.mark.parametrize("chip", [PCL240K, MCX304])

@@ -26,7 +26,7 @@ def test_a_move_arrives_and_its_pattern_is_drawn(bench):
     browser, before = bench.browser, bench.x("commanded")
     fill(browser, move__distance="4", move__speed="40")
     report = go(browser, "move", "preset move on x: done")
-    assert "lost steps 0" in report
+    assert "0 full steps lost" in report
     assert bench.x("commanded") - before == pytest.approx(4 * MM, abs=1e-6)
     browser.until(lambda: browser.find("pattern").find_elements("css selector", "svg"))
 

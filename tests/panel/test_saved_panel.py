@@ -311,7 +311,7 @@ def test_a_program_in_python_makes_each_cycle_at_its_time():
         '"""The panel\'s program, 3 bus cycles in 1.235 s of simulated time."""\n\nfrom stage import Stage\n'
     )
     assert "    (20000, 0, 0, None),\n" in text, "a read has no words"
-    assert "    stage.set_payload(0.5, 'cart')\n" in text
+    assert "    machine.set_payload(0.5, 'cart')\n" in text
     assert "table" not in text
     names = {"__name__": "a program"}
     exec(text, names)
@@ -378,17 +378,17 @@ def test_a_test_says_where_the_axes_are_what_was_lost_and_what_was_noted():
     text = saved_panel.to_pytest(of, shared([], payloads={"cart": 2.0}), 5)
     begin = text.partition("def test_what_was_done_on_the_panel():\n")[2].splitlines()[:3]
     assert [line.strip() for line in begin] == [
-        "stage = Stage('xy', chips='pcl240ms')", "stage.set_payload(2.0, 'cart')", "play(stage)",
+        "machine = Stage('xy', chips='pcl240ms')", "machine.set_payload(2.0, 'cart')", "play(machine)",
     ]  # fmt: skip
-    body = [line.strip() for line in text.partition("    play(stage)\n")[2].splitlines()]
+    body = [line.strip() for line in text.partition("    play(machine)\n")[2].splitlines()]
     expected = []
     for name, axis in stage.axes.items():
-        expected.append(f"assert stage.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)")
-        expected.append(f"assert stage.axes[{name!r}].lost_steps == {axis.lost_steps}")
+        expected.append(f"assert machine.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)")
+        expected.append(f"assert machine.axes[{name!r}].lost_steps == {axis.lost_steps}")
     messages = [d.message for d in stage.chips[1].diagnostics]
     assert messages
-    expected += ["assert [d.message for d in stage.chips[0].diagnostics] == []",
-                 f"assert [d.message for d in stage.chips[1].diagnostics] == {messages!r}"]  # fmt: skip
+    expected += ["assert [d.message for d in machine.chips[0].diagnostics] == []",
+                 f"assert [d.message for d in machine.chips[1].diagnostics] == {messages!r}"]  # fmt: skip
     assert body == expected
     compile(text, "test_program.py", "exec")
 

@@ -35,10 +35,10 @@ class StagePin(MockPin):
 
 def main():
     """Drive a stage with the library, and print what it has found."""
-    stage = Stage("xyz", chips="stepdir", drives=Drive(power_stage="tmc2209", microsteps=8, current=1.2))
-    x = stage.axes["x"]
+    machine = Stage("xyz", chips="stepdir", drives=Drive(power_stage="tmc2209", microsteps=8, current=1.2))
+    x = machine.axes["x"]
     firmware.move(x, 0.14)
-    with SingleBoardHost(stage) as host:
+    with SingleBoardHost(machine) as host:
         StagePin.host = host
         Device.pin_factory = MockFactory(pin_class=StagePin)
         diag = Device.pin_factory.pin(DIAG)
@@ -63,7 +63,7 @@ def main():
         tmc.max_speed_fullstep, tmc.acceleration_fullstep = 800, 2000
         before = x.position
         tmc.run_to_position_steps(400)
-        print(f"moved {(x.position - before) * 1e3:.2f} mm, {x.lost_steps} steps lost")
+        print(f"moved {(x.position - before) * 1e3:.2f} mm, {x.lost_steps} full steps lost")
         tmc.test_stallguard_threshold(400)
         is_home = tmc.do_homing(DIAG, revolutions=-10, threshold=30, max_speed=1600)
         print(f"homing {is_home} at {x.position * 1e3:.1f} mm")

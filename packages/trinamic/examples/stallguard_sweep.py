@@ -51,10 +51,10 @@ def record_homing(speed: float, current: float, friction: float) -> Homing:
         friction: Friction of the carriage, N.
     """
     drive = Drive(power_stage="tmc2209", microsteps=MICROSTEPS, current=current)
-    stage = Stage("xy", chips="stepdir", drives=drive, visuals=False)
-    x = stage.axes["x"]
+    machine = Stage("xy", chips="stepdir", drives=drive, visuals=False)
+    x = machine.axes["x"]
     firmware.move(x, START_M)
-    stage.model.dof_frictionloss[x.plant.dof] = friction
+    machine.model.dof_frictionloss[x.plant.dof] = friction
     for rate in np.geomspace(min(800, speed), speed, 40):
         x.pulse(16, rate=rate)
     results, contact = [], None

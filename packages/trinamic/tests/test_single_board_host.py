@@ -99,6 +99,6 @@ def test_pytmcstepper_homes_an_axis_without_a_switch():
     done = subprocess.run([sys.executable, str(EXAMPLE)], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "amplitude 1.125 A, 2 microsteps" in done.stdout
-    assert re.search(r"moved -(9\.9|10\.0)\d mm, 0 steps lost", done.stdout), done.stdout
+    assert re.search(r"moved -(9\.9|10\.0)\d mm, 0 full steps lost", done.stdout), done.stdout
     assert "min StallGuard result during accel" in done.stdout + done.stderr  # test_stallguard_threshold
     assert "homing True at 156" in done.stdout

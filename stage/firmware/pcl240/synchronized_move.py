@@ -1,7 +1,7 @@
 """The a:b move: several chips, one straight line.
 
-    stage = Stage("xyz")
-    report = synchronized_move({"x": 20_000, "y": -7_500}, stage)
+    machine = Stage("xyz")
+    report = synchronized_move({"x": 20_000, "y": -7_500}, machine)
 
 The move is planned, written to the chips, and started by one start command after the other, the longest axis last.
 """

@@ -1,11 +1,11 @@
 """Trinamic TMC2209: STEP/DIR driver of one two-phase stepper, as the power stage of a STEP/DIR axis.
 
 from stage import Stage
-stage = Stage("xyz", chips="stepdir", drives="tmc2209")      an entry point of the package makes the name known
-chip = stage.axes["x"].chip
+machine = Stage("xyz", chips="stepdir", drives="tmc2209")      an entry point of the package makes the name known
+chip = machine.axes["x"].chip
 chip.write_register("CHOPCONF", 0x10010053)                  writes a register directly, without the UART
 chip.uart.write(bytes.fromhex("05000048"))                   sends a datagram, from now on
-stage.run(2e-3)
+machine.run(2e-3)
 chip.uart.read()                                             the reply, as far as it has come
 """
 

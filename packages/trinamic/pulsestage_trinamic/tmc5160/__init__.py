@@ -1,8 +1,8 @@
 """Trinamic TMC5160: six-point ramp generator and motor driver of one two-phase stepper, as a chip of PulseStage.
 
 from stage import Stage
-stage = Stage("xy", chips="tmc5160")              an entry point of the package makes the name known
-chip = stage.axes["x"].chip
+machine = Stage("xy", chips="tmc5160")              an entry point of the package makes the name known
+chip = machine.axes["x"].chip
 chip.transfer(bytes.fromhex("EC000100C3"))        sends an SPI datagram and returns the answer to the one before
 chip.write(0x2D, 51200)                           writes a register directly, without SPI
 """

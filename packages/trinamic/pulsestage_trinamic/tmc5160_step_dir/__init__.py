@@ -1,9 +1,9 @@
 """Trinamic TMC5160 with SD_MODE high: the power stage of a STEP/DIR axis, configured by SPI.
 
 from stage import Stage, firmware
-stage = Stage("xyz", chips="stepdir", drives="tmc5160")
-chip = stage.axes["x"].chip
-firmware.move(stage.axes["x"], 10e-3)                        switches the power stage on, and moves by STEP and DIR
+machine = Stage("xyz", chips="stepdir", drives="tmc5160")
+chip = machine.axes["x"].chip
+firmware.move(machine.axes["x"], 10e-3)                        switches the power stage on, and moves by STEP and DIR
 chip.transfer(bytes.fromhex("EC050100C3"))                   an SPI datagram; returns the answer to the one before
 chip.write_register("CHOPCONF", 0x140100C3)                  a register without SPI
 """
