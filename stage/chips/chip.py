@@ -29,6 +29,7 @@ from stage.chips.write_diagnostics import (
     BUS_WIDTH,
     CLOCK_RANGE,
     MAX_DIAGNOSTICS,
+    Cause,
     Diagnostic,
     Finding,
     JournalLint,
@@ -618,6 +619,11 @@ class Chip(DeclaredAttributes):
     def count_edges_of(self, diagnostic: Diagnostic) -> int:
         """Return the number of edges of lines that a diagnostic is about; 0 if it is about a bus write."""
         return 0
+
+    def find_cause_of(self, diagnostic: Diagnostic) -> Cause:
+        """Return what has broken the rule of a diagnostic, and how often."""
+        edges = self.count_edges_of(diagnostic)
+        return Cause("edge", edges) if edges else Cause("bus write", 1)
 
     def read(self, address: int) -> int:
         """Make one bus read cycle.

@@ -6,6 +6,7 @@ every rule that the write breaks; the chip adds clock, address and value, and ke
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from stage.chips.chip import Chip
 
+BUS_WRITE = "bus write"
 MAX_DIAGNOSTICS = 1000
 MAX_JOURNAL_ENTRIES = 1 << 21  # 64 MB
 
@@ -66,6 +68,18 @@ class Diagnostic(NamedTuple):
     key: str = ""
 
 
+class Cause(NamedTuple):
+    """What has broken the rule of a diagnostic.
+
+    Attributes:
+        kind: "bus write", "edge" (of a line), "datagram" (of a UART) or "setting" (registers whose values do not fit together).
+        times: How often.
+    """
+
+    kind: str
+    times: int
+
+
 def parse_diagnostics(data: Iterable[Any]) -> tuple[Diagnostic, ...]:
     """Convert the diagnostics in a snapshot's file.
 
@@ -80,14 +94,15 @@ def parse_diagnostics(data: Iterable[Any]) -> tuple[Diagnostic, ...]:
 
 
 def describe_mistakes(chips: Iterable[Chip]) -> str:
-    """Return how many bus writes and edges of lines break rules, as "2 bus writes and 3,200 edges"; "" if none does."""
-    writes = edges = 0
+    """Return how many bus writes, edges of lines and so on break rules, as "2 bus writes and 3,200 edges"; "" if none does."""
+    counts = Counter[str]()
     for chip in chips:
         diagnostics = chip.diagnostics
-        writes += len({(d.clock, d.address, d.value) for d in diagnostics if not chip.count_edges_of(d)})
-        edges += sum(chip.count_edges_of(d) for d in diagnostics)
-    counts = ((writes, "bus write"), (edges, "edge"))
-    return " and ".join(f"{n:,} {what}{'s' * (n > 1)}" for n, what in counts if n)
+        causes = [(d, chip.find_cause_of(d)) for d in diagnostics]
+        counts[BUS_WRITE] += len({(d.clock, d.address, d.value) for d, cause in causes if cause.kind == BUS_WRITE})
+        for _, cause in causes:
+            counts[cause.kind] += cause.times * (cause.kind != BUS_WRITE)
+    return " and ".join(f"{n:,} {what}{'s' * (n > 1)}" for what, n in counts.items() if n)
 
 
 def list_rules(lint: ModuleType) -> list[Rule]:

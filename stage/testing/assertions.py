@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from stage.chips.write_diagnostics import describe_mistakes
+from stage.chips.write_diagnostics import BUS_WRITE, describe_mistakes
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS, format_lost_steps
@@ -152,9 +152,9 @@ def assert_no_diagnostics(stage: Stage) -> None:
         names = "".join(axis.name for axis in stage.axes.values() if axis.chip is chip)
         digits = 4 if chip.DATA_MASK > 0xFF else 2
         for d in chip.diagnostics:
-            edges = chip.count_edges_of(d)
-            cycle = "" if edges else f"address {d.address} W {d.value:0{digits}X}h  "
-            times = f", {edges:,} times" if edges > 1 else ""
+            cause = chip.find_cause_of(d)
+            cycle = f"address {d.address} W {d.value:0{digits}X}h  " if cause.kind == BUS_WRITE else ""
+            times = f", {cause.times:,} times" if cause.times > 1 else ""
             mistakes.append((d.clock / chip.clock_hz, f"{names}: {cycle}{d.message} ({d.source}){times}"))
     if mistakes:
         raise AssertionError(

@@ -25,17 +25,25 @@ def _make_uart_rule(name: str, section: str) -> Rule:
 
 UART_MISTAKES = {
     state.BAD_RATE: (_make_uart_rule("rate", "4.3"), "the chip does not understand a bit time of {} ns"),
-    state.BAD_SYNC: (_make_uart_rule("sync", "4.1"), "a datagram begins with 5 in the low bits, not with {:02X}h"),
-    state.BAD_CRC: (_make_uart_rule("crc", "4.2"), "wrong CRC of a datagram for register {:02X}h"),
+    state.BAD_SYNC: (
+        _make_uart_rule("sync", "4.1"),
+        "a datagram begins with 05h, and {} came: text for a log, or a datagram that was cut off, is at this line",
+    ),
+    state.BAD_CRC: (_make_uart_rule("crc", "4.2"), "wrong CRC of a datagram that {}"),
     state.NO_REGISTER: (_make_uart_rule("register", "5"), "a write by UART to {:02X}h, where is no register"),
     state.READ_ONLY: (_make_uart_rule("read-only", "5"), "a write by UART to {:02X}h, which can only be read"),
 }
 """Rules that datagrams break, and messages about them."""
 ADDRESS = _make_uart_rule("address", "4.1")
+KINDS = {rule.key: kind for kind, (rule, _) in UART_MISTAKES.items()} | {ADDRESS.key: state.OTHER_ADDRESS}
+"""Kinds of datagrams that do nothing, by the keys of their rules."""
+NAMES = {r.number: r.name for r in maps.DRIVER_REGISTERS}
+MICROSTEPS_OF_ADDRESS = (8, 32, 64, 16)
 PDN_ENABLED = Rule("tmc2209-pdn-disable", "section 4.1", once=True)
 NO_STALL_OUTPUT = Rule("tmc2209-no-stall-output", "section 11", once=True)
 SENDDELAY_ZERO = Rule("tmc2209-senddelay", "section 5.1, SLAVECONF", once=True)
 MRES, SENDDELAY = maps.MAP.mask("CHOPCONF", "mres"), maps.MAP.field("SLAVECONF", "senddelay")
+WRITE_BIT = 0x80
 MULTISTEP_FILTER = maps.MAP.mask("GCONF", "multistep_filt")
 
 
@@ -75,10 +83,16 @@ def find_mistakes(c: Any, address: int) -> Iterator[tuple[int, Finding]]:
     clock, gconf = int(c["clock"]), int(c["registers"][state.GCONF])
     for kind, (rule, text) in UART_MISTAKES.items():
         if c["mistakes"][kind]:
-            yield int(c["mistake_clock"][kind]), (rule, text.format(int(c["mistake_detail"][kind])))
+            detail = int(c["mistake_detail"][kind])
+            values = {state.BAD_SYNC: _describe_byte, state.BAD_CRC: _describe_access}
+            yield int(c["mistake_clock"][kind]), (rule, text.format(values.get(kind, int)(detail)))
     if c["mistakes"][state.OTHER_ADDRESS] and not (c["datagrams"] or c["others"]):
         other = int(c["mistake_detail"][state.OTHER_ADDRESS])
-        message = f"datagrams came for address {other}, and none for that of this chip, {address} (MS1 + 2 MS2)"
+        cure = f" or the Drive {MICROSTEPS_OF_ADDRESS[other]} microsteps" if other < len(MICROSTEPS_OF_ADDRESS) else ""
+        message = (
+            f"datagrams came for address {other}, and none for that of this chip, {address} (MS1 + 2 MS2): give the program "
+            f"address {address}{cure}"
+        )
         yield int(c["mistake_clock"][state.OTHER_ADDRESS]), (ADDRESS, message)
     if c["datagrams"] and not gconf & state.PDN_DISABLE:
         yield clock, (PDN_ENABLED, "with the UART in use the current does not fall to IHOLD: set GCONF.pdn_disable")
@@ -89,6 +103,18 @@ def find_mistakes(c: Any, address: int) -> Iterator[tuple[int, Finding]]:
         if is_spread or not c["registers"][state.TCOOLTHRS]:
             cause = "SpreadCycle is selected" if is_spread else "TCOOLTHRS is 0"
             yield clock, (NO_STALL_OUTPUT, f"SGTHRS is set, and DIAG never shows a stall: {cause}")
+
+
+def _describe_byte(byte: int) -> str:
+    """Return a byte of a host as a hexadecimal number, with the character that it stands for in a text."""
+    return f"{byte:02X}h" + (f" ({chr(byte)!r})" if 32 <= byte < 127 else "")
+
+
+def _describe_access(register: int) -> str:
+    """Return what a datagram does with a register, whose number has the bit of a write."""
+    number = register & 0x7F
+    name = NAMES.get(number, "no register")
+    return f"{'writes' if register & WRITE_BIT else 'reads'} {number:02X}h ({name})"
 
 
 def _lint_register(c: Any, number: int, value: int) -> Iterator[Finding]:
