@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from stage.units import OTHER_FACTORS, POSITION_FACTORS, explain_number_error, identify_unit, parse_quantity
 
 PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
+DEFAULT_MICROSTEPS = 16
 CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100", "STEPDIR")
 
 
@@ -104,6 +105,16 @@ def parse_integer(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, such as 768 or 0x300") from None
 
 
+def parse_microsteps(text: str) -> int | str:
+    """Parse microsteps per full step, for all axes as an integer; those of single axes, x=16,y=8, stay a text."""
+    try:
+        for value in text.split(",") if "=" in text else [text]:
+            int(value.rpartition("=")[2])
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"invalid int value: {text!r}") from None
+    return text if "=" in text else int(text)
+
+
 def parse_positive_integer(text: str) -> int:
     """Parse an integer of at least 1."""
     if (value := parse_integer(text)) < 1:
@@ -170,13 +181,20 @@ def add_stage_options(group: Any, chips: Sequence[str] = CHIPS) -> None:
     others = "; or one of another package, see `stage chips`; or x=CHIP,y=CHIP" if chips is CHIPS else ""
     choices = f"chip of every axis: {', '.join(chips)}{others} (default: %(default)s)"
     group.add_argument("--chips", default=chips[0], help=choices).known = chips
-    group.add_argument("--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401)")
+    group.add_argument(
+        "--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401); or x=MOTOR,y=MOTOR"
+    )
     group.add_argument(
         "--drive",
         metavar="POWER_STAGE",
-        help="power stage of every axis, see `stage list power-stages` (default: ideal)",
+        help="power stage of every axis, see `stage list power-stages` (default: ideal); or x=POWER_STAGE,y=POWER_STAGE",
     )
-    group.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
+    group.add_argument(
+        "--microsteps",
+        type=parse_microsteps,
+        default=DEFAULT_MICROSTEPS,
+        help="microsteps per full step (default: 16); or x=16,y=8",
+    )
     group.add_argument(
         "--bus-voltage", type=VOLTAGE, default=24.0, help="supply voltage of the drives in V (default: 24)"
     )

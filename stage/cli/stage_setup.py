@@ -6,9 +6,17 @@ import argparse
 import math
 from typing import Any
 
+from stage.cli import options
 from stage.cli.options import SpeedOfCarriage
 from stage.errors import ArgumentError, add_article, unknown_name_error
-from stage.support.axis_value_parsing import parse_chips, parse_multichip, parse_syni, parse_wiring, split_pair
+from stage.support.axis_value_parsing import (
+    parse_chips,
+    parse_multichip,
+    parse_syni,
+    parse_value_by_axis,
+    parse_wiring,
+    split_pair,
+)
 from stage.units import POSITION_FACTORS, POSITION_UNITS, explain_number_error, parse_position
 
 
@@ -20,22 +28,36 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
         visuals: Whether to keep the parts of the model that are only for display.
     """
     from stage import Drive, Stage
+    from stage.sim import plant
     from stage.sim.chip_and_drive_assignment import find_chip_class
 
-    selected = {"motor": args.motor, "power_stage": args.drive}
-    parts: Any = {name: choice for name, choice in selected.items() if choice is not None}
+    by_axis = {
+        name: parse_value_by_axis(f"--{name.replace('_', '-')}", str(value))
+        for name in ("motor", "drive", "microsteps")
+        if (value := getattr(args, name)) is not None
+    }
 
-    def make_drive(chip: Any) -> Any:
+    def make_drive(chip: Any, axis: str = "") -> Any:
+        values = {name: own.get(axis, own.get("")) for name, own in by_axis.items()}
         if chip.SERVO:
-            return args.motor
-        return Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **parts)
+            return values.get("motor")
+        parts: Any = {"motor": values.get("motor"), "power_stage": values.get("drive")}
+        parts = {name: choice for name, choice in parts.items() if choice is not None}
+        microsteps = int(values["microsteps"] or options.DEFAULT_MICROSTEPS)
+        return Drive(microsteps=microsteps, bus_voltage=args.bus_voltage, **parts)
 
+    named = {axis for own in by_axis.values() for axis in own if axis}
     if "=" in args.chips:
         chips: Any = {axis: find_chip_class(name) for axis, name in parse_chips(args.chips).items()}
-        drives: Any = {axis: make_drive(chip) for axis, chip in chips.items()}
+        drives: Any = {axis: make_drive(chip, axis) for axis, chip in chips.items()}
     else:
-        chips = find_chip_class(args.chips)
-        drives = make_drive(chips)
+        chips = drives = find_chip_class(args.chips)
+        if named:
+            drives = {axis: make_drive(chips, axis) for axis in plant.find_axis_names(plant.open_spec(args.model))}
+        else:
+            drives = make_drive(chips)
+    for axis in sorted(named - set(drives if isinstance(drives, dict) else ())):
+        raise unknown_name_error("axis", axis, drives)
     return Stage(
         args.model, chips=chips, drives=drives, bus_cycle=args.bus_cycle, clock=getattr(args, "clock", None),
         encoders=[parse_encoder(item) for item in getattr(args, "encoder", ())], wiring=parse_wiring(args.wiring),

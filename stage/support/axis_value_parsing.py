@@ -36,6 +36,19 @@ def parse_chips(text: str) -> dict[str, str]:
     )
 
 
+def parse_value_by_axis(option: str, text: str) -> dict[str, str]:
+    """Parse the value of an option such as --microsteps: 16, or x=16,y=8. The key "" has the value of all axes.
+
+    Raises:
+        ArgumentError: An axis has no value, or two.
+    """
+    if "=" not in text:
+        return {"": text}
+    return _parse_unique_pairs(
+        f"{option} {text}", text, "write one value for all axes, or AXIS=VALUE,AXIS=VALUE: x=16,y=8."
+    )
+
+
 def parse_syni(items: Iterable[str]) -> dict[str, str]:
     """Parse the values of --syni, for example y=x; return the leader of each follower. Raises ArgumentError."""
     text = ",".join(items)
