@@ -14,7 +14,7 @@ import pytest
 from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware
-from stage.chips.chip import Diagnostic
+from stage.chips.diagnostics import Cause, Diagnostic
 from stage.cli import build_parser, demo, home, listing, main, move, output_files, stage_setup, terminal_output
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
@@ -301,7 +301,7 @@ def test_a_report_of_mistakes_has_the_first_of_each_kind_and_strays_by_their_tim
     diagnostics = [
         Diagnostic(clock, 0, 0x11, text, "page") for clock, text in ((5, "a"), (7, "b"), (9, "a"), (11, "a"))
     ]
-    chip = SimpleNamespace(diagnostics=diagnostics, clock_hz=1, count_edges_of=lambda d: 0)
+    chip = SimpleNamespace(diagnostics=diagnostics, clock_hz=1, find_cause_of=lambda d: Cause("bus write", 1))
     stray = SimpleNamespace(times=3)
     stage = SimpleNamespace(axes={}, chips=[chip])
     print_report(SimpleNamespace(stage=stage, strays=[stray, SimpleNamespace(times=4)], join_axis_names=lambda k: "x"))
@@ -366,8 +366,18 @@ def test_the_board_of_run_lies_where_the_options_say(monkeypatch):
     assert calls == [(("pcl240-card", 0x2A0, 16), {"keep_cycles": 77, "devices": ["uart:0x3F8", "latch:7"]})]
 
 
-@pytest.mark.parametrize(("lost", "code"), [(4, 1), (0, 0)])
-def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
+@pytest.mark.parametrize(
+    ("lost", "allowed", "code", "text"),
+    [
+        (4, None, 1, "x has lost 4 full steps: exit code 1. If it runs against a stop on purpose"),
+        (0, None, 0, ""),
+        (-4, "x=3", 1, "x has lost 4 full steps, and --allow-lost-steps allows 3: exit code 1."),
+        (-4, "x=4", 0, ""),
+        (4, "y=4", 2, ""),
+        (4, "x=few", 2, ""),
+    ],
+)
+def test_a_firmware_that_loses_more_steps_than_allowed_ends_with_1(monkeypatch, capsys, lost, allowed, code, text):
     timeouts = []
     done = SimpleNamespace(code=0, seconds=0.0, cycles=0)
     host = SimpleNamespace(
@@ -376,13 +386,16 @@ def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
         wiring_problems=(),
         wiring_findings=(),
     )
-    stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
+    stage = SimpleNamespace(axes={"x": SimpleNamespace(name="x", lost_steps=lost)})
     monkeypatch.setattr("stage.cli.stage_setup.make_stage", lambda args: stage)
     monkeypatch.setattr("stage.cli.run.print_report", lambda *_: None)
     monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))
     monkeypatch.setattr("stage.board.NativeHost", lambda *_, **__: host)
-    assert main(["run", "a.c", "--timeout", "1.5"]) == code
-    assert timeouts == [1.5]
+    assert main(["run", "a.c", "--timeout", "1.5", *(["--allow-lost-steps", allowed] if allowed else [])]) == code
+    printed = capsys.readouterr().out
+    assert text in printed
+    assert ("has lost" in printed) == bool(text)
+    assert timeouts == [1.5] * (code < 2)
 
 
 @pytest.mark.parametrize(

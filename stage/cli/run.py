@@ -16,15 +16,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.chips.write_diagnostics import describe_mistakes
+from stage.chips.write_diagnostics import BUS_WRITE, describe_mistakes
 from stage.cli import options, serial_options
 from stage.cli.command_interface import add_command, add_facts, report_written_file, warn
 from stage.cli.options import DURATION, FREQUENCY, TIME, parse_integer
 from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import keep_panel, run_in_real_time, show_panel
-from stage.cli.stage_setup import make_board
+from stage.cli.stage_setup import find_axis, make_board
 from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError, StageError
+from stage.support.axis_value_parsing import split_pair
 from stage.units import POSITION_UNITS, format_step_count
 
 MAX_DIAGNOSTICS = 10
@@ -37,7 +38,7 @@ def add_subcommand(commands: Any) -> None:
         commands, "run", run, "run firmware in C on an emulated board",
         "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips. Print its log, the final "
         "positions of the axes, and bus writes that are mistakes according to the data sheet. Exit code 0 if it returns 0, "
-        "loses no step, and drives the STEP/DIR axes at the pins that --pins names.",
+        "loses no step that --allow-lost-steps does not allow, and drives the STEP/DIR axes at the pins that --pins names.",
         ("stage run driver.c --chips pcl240mk", "build a driver and run it against the chips"),
         ("stage run driver.c --trace - --vcd bus.vcd", "print the bus cycles, and write them as waveforms"),
         ("stage run mill.ino --for 2 --chips hctl1100", "run an Arduino sketch for 2 simulated seconds"),
@@ -49,7 +50,10 @@ def add_subcommand(commands: Any) -> None:
     )  # fmt: skip
     _add_target_options(p)
     g = p.add_argument_group("firmware")
-    g.add_argument("--cflags", default="", help='options of the compiler, for example --cflags="-Ihal -DSLOW"')
+    g.add_argument(
+        "--cflags", action="append", default=[], metavar="OPTIONS",
+        help='options of the compiler, for example --cflags="-Ihal -DSLOW"; several add up',
+    )  # fmt: skip
     g.add_argument(
         "--platform",
         help="platform of the sources: arduino (a .ino always is), avr, vxworks, dos, freertos; docs/porting.md",
@@ -72,6 +76,10 @@ def add_subcommand(commands: Any) -> None:
     g.add_argument(
         "--for", dest="seconds", type=DURATION, metavar="SECONDS",
         help="stop the firmware after this many simulated seconds; needed if it never returns, like a sketch",
+    )  # fmt: skip
+    g.add_argument(
+        "--allow-lost-steps", action="append", default=[], metavar="AXIS=STEPS",
+        help="full steps that an axis may lose without exit code 1, for firmware that homes against a stop: x=8",
     )  # fmt: skip
     g.add_argument(
         "--cost", type=TIME, default=0.0, metavar="S",
@@ -122,12 +130,17 @@ def _add_target_options(p: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run firmware; print what it noted and where the axes are."""
     check_outputs(args)
-    try:
-        flags = tuple(shlex.split(args.cflags))
-    except ValueError as failed:
-        raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
+    flags = tuple(flag for text in args.cflags for flag in _split_flags(text))
     with serial_options.open_serial_end(args) as end:
         return _run_with_serial_end(args, flags, end)
+
+
+def _split_flags(text: str) -> list[str]:
+    """Split the value of --cflags as a shell does. Raises ArgumentError."""
+    try:
+        return shlex.split(text)
+    except ValueError as failed:
+        raise ArgumentError(f"--cflags {text!r}: {failed}.") from None
 
 
 def _run_with_serial_end(args: argparse.Namespace, flags: tuple[str, ...], end: Any) -> int:
@@ -140,11 +153,17 @@ def _run_with_serial_end(args: argparse.Namespace, flags: tuple[str, ...], end: 
     """
     with _show_compiler_warnings(args):
         board = make_board(args)
+        allowed = _parse_allowed_losses(args.allow_lost_steps, board.stage)
         host = _make_host(args, board, flags)
     serial_options.prepare_host(args, host, end)
     terminated = threading.Event()
     with show_panel(args, board.stage, Path(args.firmware[0]).name) as session:
         code = _run_firmware(args, board, host, session, end, terminated)
+        lost = {name: abs(axis.lost_steps) for name, axis in board.stage.axes.items()}
+        losing = [name for name, count in lost.items() if count > allowed.get(name, 0)]
+        for name in losing:
+            print(_describe_loss(name, lost[name], allowed.get(name)))
+        code = code or int(bool(losing))
         if session is not None and not terminated.is_set():
             keep_panel(session)
     return code
@@ -200,7 +219,31 @@ def _run_firmware(
             print("A sketch never returns: --for 2 runs it for 2 s.", file=sys.stderr)
         return 1
     done = result is None or result.code == 0
-    return 0 if done and not (host.wiring_problems or any(a.lost_steps for a in stage.axes.values())) else 1
+    return 0 if done and not host.wiring_problems else 1
+
+
+def _parse_allowed_losses(items: Sequence[str], stage: Any) -> dict[str, int]:
+    """Parse the values of --allow-lost-steps; return the full steps that each axis may lose. Raises ArgumentError."""
+    allowed = {}
+    for item in items:
+        name, count = split_pair(item)
+        if not (name and count.isascii() and count.isdigit()):
+            raise ArgumentError(
+                f"--allow-lost-steps {item!r}: write AXIS=STEPS, full steps of the motor, for example x=8."
+            )
+        allowed[find_axis(stage, name).name] = int(count)
+    return allowed
+
+
+def _describe_loss(axis: str, count: int, limit: int | None) -> str:
+    """Return a sentence about the full steps that an axis has lost, more than the limit of --allow-lost-steps."""
+    text = f"{axis} has lost {count:,} full step{'s' * (count > 1)}"
+    if limit is not None:
+        return f"{text}, and --allow-lost-steps allows {limit:,}: exit code 1."
+    return (
+        f"{text}: exit code 1. If it runs against a stop on purpose, as in homing without a switch, --allow-lost-steps "
+        f"{axis}={count} allows them."
+    )
 
 
 def _run_to_end(
@@ -340,10 +383,9 @@ def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[st
 
 
 def _collect_diagnostic(chip: Any, diagnostic: Any) -> dict[str, Any]:
-    """Return a diagnostic for --json. One about edges of lines has no address and no value, but their number as `times`."""
-    edges = chip.count_edges_of(diagnostic)
-    facts = diagnostic._asdict()
-    return facts | {"address": None, "value": None, "times": edges} if edges else facts
+    """Return a diagnostic for --json. One that is about no bus write has no address and no value, but a number as `times`."""
+    cause, facts = chip.find_cause_of(diagnostic), diagnostic._asdict()
+    return facts if cause.kind == BUS_WRITE else facts | {"address": None, "value": None, "times": cause.times}
 
 
 def print_report(board: Any, wiring_findings: Sequence[str] = ()) -> None:
@@ -378,12 +420,12 @@ def _print_diagnostics(name: str, chip: Any) -> None:
     """Print the first diagnostic of each kind, and how often it came."""
     diagnostics, counts = chip.diagnostics, Counter[str]()
     for d in diagnostics:
-        counts[d.message] += chip.count_edges_of(d) or 1
+        counts[d.message] += chip.find_cause_of(d).times
     print(
         f"chip of {name}: {describe_mistakes([chip])} that a reader of the data sheet would call mistakes, the first of each kind:"
     )
     firsts = {d.message: d for d in reversed(diagnostics)}
     for d in sorted(firsts.values())[:MAX_DIAGNOSTICS]:
-        cycle = "" if chip.count_edges_of(d) else f", address {d.address} <- {d.value:02X}h"
+        cycle = f", address {d.address} <- {d.value:02X}h" if chip.find_cause_of(d).kind == BUS_WRITE else ""
         again = f" ({counts[d.message]:,} times)" if counts[d.message] > 1 else ""
         print(f"  {d.clock / chip.clock_hz:.6f} s{cycle}: {d.message} [{d.source}]{again}")

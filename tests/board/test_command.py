@@ -101,6 +101,9 @@ def test_sources_are_built_first(tmp_path, capsys):
     assert main(["run", str(tmp_path / "a.c"), str(tmp_path / "b.c"), "--cflags=-DCODE=0"]) == 0
     assert main(["run", str(tmp_path / "a.c"), built()]) == 2
     assert "sources only" in capsys.readouterr().err
+    assert (
+        main(["run", str(tmp_path / "a.c"), str(tmp_path / "b.c"), "--cflags=-DCODE=0", "--cflags=-DOTHER=1 -O0"]) == 0
+    )
     assert main(["run", str(tmp_path / "a.c"), "--cflags=-D'"]) == 2
     assert "--cflags" in capsys.readouterr().err
     with pytest.raises(SystemExit):
