@@ -14,7 +14,7 @@ import pytest
 from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware
-from stage.chips.diagnostics import Cause, Diagnostic
+from stage.chips.write_diagnostics import Cause, Diagnostic
 from stage.cli import build_parser, demo, home, listing, main, move, output_files, stage_setup, terminal_output
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations

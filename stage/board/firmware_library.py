@@ -24,10 +24,14 @@ from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCo
 from stage.board.firmware_pins import (
     PIN_READS,
     PIN_USE,
+    SERIAL_USE,
+    FirmwareUse,
     check_board_pins,
     find_firmware_wiring_findings,
+    find_silent_serial_lines,
     make_line_table,
 )
+from stage.board.pin_assignment import NO_PINS, PinWiring
 from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
@@ -36,7 +40,7 @@ from stage.support.subprocesses import run_program
 
 if TYPE_CHECKING:
     from stage.board.host_record_link import Link
-    from stage.board.pin_assignment import PinLine, WiringFinding
+    from stage.board.pin_assignment import WiringFinding
 
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", *platforms.SKETCHES)
@@ -447,7 +451,7 @@ class Library:
         path: The library.
         link: Link of the board that receives the requests.
         cost: Picoseconds that each basic block takes; 0: basic blocks are not counted.
-        lines: Lines of axes at its pins.
+        wiring: Lines of axes at its pins.
 
     Attributes:
         copy: The file that is loaded.
@@ -458,10 +462,12 @@ class Library:
         LibraryError: The file cannot be loaded, is no firmware, or does not count its basic blocks.
     """
 
-    def __init__(self, path: Path, link: Link, cost: int = 0, lines: Sequence[PinLine] = ()):
-        self.path, self._link, self._cost, self._lines = path, link, cost, lines
+    def __init__(self, path: Path, link: Link, cost: int = 0, wiring: PinWiring = NO_PINS):
+        self.path, self._link, self._cost, self._wiring = path, link, cost, wiring
+        self._lines = wiring.lines
         self._pin_use: np.ndarray | None = None
-        self._pin_reads = np.full(1, 1, PIN_READS)
+        self._board_pins: Sequence[int] = ()
+        self._pin_reads, self._serial_use = np.full(1, 1, PIN_READS), np.zeros(1, SERIAL_USE)
         _check_sanitizers(path)
         self._scratch = TemporaryFolder()
         self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
@@ -506,7 +512,11 @@ class Library:
     def close(self) -> None:
         """Unload the library."""
         if self._pin_use is not None:
-            self._pin_use, self._pin_reads = self._pin_use.copy(), self._pin_reads.copy()  # for `find_wiring_findings`
+            self._pin_use, self._pin_reads, self._serial_use = (
+                self._pin_use.copy(),
+                self._pin_reads.copy(),
+                self._serial_use.copy(),
+            )  # for `find_wiring_findings`
         if platform.system() != "Windows":
             import _ctypes
 
@@ -544,21 +554,30 @@ class Library:
             ) from None
         if hasattr(self._library, "pulsestage_board_pins"):  # a sketch for an Arduino
             board_pins = (ctypes.c_uint8 * 71).in_dll(self._library, "pulsestage_board_pins")
-            check_board_pins(self._lines, board_pins[1 : 1 + board_pins[0]])
+            self._board_pins = board_pins[1 : 1 + board_pins[0]]
+            check_board_pins(self._lines, self._board_pins)
         if any("step" in chip.INPUTS for chip in self._link.stage.chips):
             table[0], table[1] = self._table.ctypes.data, len(self._table)
         self._pin_use = np.ctypeslib.as_array(use).view(PIN_USE)
-        if hasattr(self._library, "pulsestage_pin_reads"):  # the first libraries with pins lack it
-            reads = (ctypes.c_uint8 * PIN_READS.itemsize).in_dll(self._library, "pulsestage_pin_reads")
-            self._pin_reads = np.ctypeslib.as_array(reads).view(PIN_READS)
+        self._pin_reads = self._view_variable("pulsestage_pin_reads", self._pin_reads)
+        self._serial_use = self._view_variable("pulsestage_serial_use", self._serial_use)
+
+    def _view_variable(self, name: str, default: np.ndarray) -> np.ndarray:
+        """Return a variable of the library as an array like `default`, or `default` for a library of an older pulsestage.h."""
+        if not hasattr(self._library, name):
+            return default
+        content = (ctypes.c_uint8 * default.nbytes).in_dll(self._library, name)
+        return np.ctypeslib.as_array(content).view(default.dtype)
 
     def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Return the signs that lines of axes are at the wrong pins of the firmware."""
-        if self._pin_use is None or not (self._lines or self._pin_use.view("u1").any()):
+        if self._pin_use is None:
             return ()
-        return find_firmware_wiring_findings(
-            self._table, self._lines, self._pin_use[0], self._pin_reads[0], self._link.stage
-        )
+        silent = find_silent_serial_lines(self._serial_use[0])
+        if not (self._lines or self._pin_use.view("u1").any()):
+            return silent
+        use = FirmwareUse(self._pin_use[0], self._pin_reads[0], tuple(self._board_pins))
+        return find_firmware_wiring_findings(self._table, self._wiring, use, self._link.stage) + silent
 
     def _find_variable(self, c_type: Any, name: str) -> Any:
         """Return an exported variable of the library. Raises LibraryError if it has none of this name."""

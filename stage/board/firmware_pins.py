@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage.board.bus.serial_core import LINES
 from stage.board.pin_assignment import (
     DRIVEN,
     UART_LINE,
     PinLine,
     PinUse,
+    PinWiring,
     WiringFinding,
     find_wiring_findings,
-    parse_pins,
+    name_serial_line,
+    parse_wiring,
 )
+from stage.chips.stepdir.line_names import POWER_STAGE_OUTPUTS
 from stage.errors import ArgumentError
 from stage.sim.stage import Stage
 
@@ -32,6 +36,12 @@ PIN_USE = np.dtype(
 """`struct pulsestage_pin_use` of pulsestage.h."""
 PIN_READS = np.dtype([("refusals", "i4"), ("reads", "u1", (LAST_PIN + 1,))])
 """`struct pulsestage_pin_reads` of pulsestage.h."""
+LINE_READ, PIN_READ, PORT_READ = 1, 2, 4
+"""Bits of `reads`: the pin has a line; it has none; it has none and was read with the other pins of its port."""
+SOFTWARE_LINE = 4
+"""First line of SoftwareSerial."""
+SERIAL_USE = np.dtype([("unsent", "u4", (LINES,))])
+"""`struct pulsestage_serial_use` of pulsestage.h."""
 PULLED = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
 SWITCHES = ("limit", "limit_plus", "limit_minus", "origin")
@@ -41,17 +51,30 @@ DIAGNOSES = ("diag", "diag0", "diag1")
 _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
 
 
-def parse_firmware_pins(texts: str | Iterable[str], stage: Stage) -> tuple[PinLine, ...]:
+class FirmwareUse(NamedTuple):
+    """Use of pins by firmware.
+
+    Attributes:
+        pins: PIN_USE record.
+        reads: PIN_READS record.
+        board_pins: Bit of the ports of each numbered pin of a sketch's board; empty for C.
+    """
+
+    pins: Any
+    reads: Any
+    board_pins: Sequence[int] = ()
+
+
+def parse_firmware_pins(texts: str | Iterable[str], stage: Stage) -> PinWiring:
     """Parse the lines of a stage's axes at pins of firmware: pin numbers (2) or bits of ports (D2).
 
     Raises:
         ArgumentError: See `parse_pins`; also for another form of a pin's name.
     """
-    lines = parse_pins(texts, {name: axis.chip for name, axis in stage.axes.items()})
-    for line in lines:
-        if line.line != UART_LINE:
-            _parse_pin(line)
-    return lines
+    wiring = parse_wiring(texts, {name: axis.chip for name, axis in stage.axes.items()})
+    for line in wiring.lines:
+        _parse_pin(line)
+    return wiring
 
 
 def _parse_pin(line: PinLine) -> tuple[int, bool]:
@@ -106,20 +129,20 @@ def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
 
 
 def find_firmware_wiring_findings(
-    table: np.ndarray, lines: Sequence[PinLine], use: Any, reads: Any, stage: Stage
+    table: np.ndarray, wiring: PinWiring, firmware: FirmwareUse, stage: Stage
 ) -> tuple[WiringFinding, ...]:
     """Return the signs that lines of axes are at the wrong pins of the firmware.
 
     Args:
-        table: LINE records as the firmware has them.
-        lines: The lines, in the order of `table`.
-        use: PIN_USE record of the firmware.
-        reads: PIN_READS record of the firmware.
+        table: LINE records as the firmware has them, in the order of the wiring's lines.
+        wiring: Lines of axes at its pins.
+        firmware: Its use of pins.
         stage: Stage with the axes.
     """
+    lines, use, reads = wiring.lines, firmware.pins, firmware.reads
     refusal, times = use["refusal"].decode(errors="replace"), int(reads["refusals"])
     again = f", the first of {times:,} such calls" if times > 1 else ""
-    refused = (WiringFinding("", f"{refusal}{again}."),) if refusal else ()
+    refused: tuple[WiringFinding, ...] = (WiringFinding("", f"{refusal}{again}."),) if refusal else ()
     driven = sorted(table[table["driven"] != 0], key=lambda row: int(row["place"]))
     uses = [
         PinUse(lines[row["place"]], int(use["rises"][row["pin"]]), int(use["pull_ups"][row["pin"]])) for row in driven
@@ -131,7 +154,87 @@ def find_firmware_wiring_findings(
         if pin not in table["pin"] and (has_numbers or pin < 8 * len(PORTS))
     }
     findings = find_wiring_findings(uses, others, {name: axis.chip for name, axis in stage.axes.items()})
-    return refused + findings + tuple(_find_unread_switches(table, lines, reads["reads"], stage))
+    refused += tuple(_find_useless_outputs(table, lines, reads["reads"], stage))
+    unconnected = _find_unconnected_outputs(table, wiring, firmware, stage)
+    return refused + findings + tuple(_find_unread_switches(table, lines, reads["reads"], stage)) + tuple(unconnected)
+
+
+def _find_unconnected_outputs(
+    table: np.ndarray, wiring: PinWiring, firmware: FirmwareUse, stage: Stage
+) -> Iterable[WiringFinding]:
+    """Yield a finding for each axis whose power stage has outputs at no pin, while the program reads pins that nothing drives.
+
+    It is a problem if a host has set up such an output. Arguments are those of `find_firmware_wiring_findings`.
+    """
+    names = _name_undriven_inputs(table, firmware)
+    outputs: dict[str, list[str]] = {}
+    for axis, output in wiring.unconnected:
+        if output != UART_LINE:
+            outputs.setdefault(axis, []).append(output)
+    for axis, unconnected in outputs.items() if names else ():
+        chip: Any = stage.axes[axis].chip
+        configured = [name for name in chip.list_configured_outputs() if name in unconnected]
+        name = f"{axis}.{(configured or unconnected)[0]}"
+        example = next((text.split()[0] for text in names if not text.startswith("port")), "9")
+        text = f"The program reads {', '.join(names)}, where --pins has no line, so that nothing changes it"
+        if configured:
+            text += (
+                f"; it has set up {name}, which has no pin: write {name}={example}, or {name}=none if nothing reads it."
+            )
+        else:
+            text += f". If it reads {' or '.join(f'{axis}.{output}' for output in unconnected)} there, write {name}={example}."
+        yield WiringFinding(axis, text, bool(configured))
+
+
+def _find_useless_outputs(
+    table: np.ndarray, lines: Sequence[PinLine], reads: np.ndarray, stage: Stage
+) -> Iterable[WiringFinding]:
+    """Yield a problem for each output of a power stage that the program reads and that cannot show what it is read for.
+
+    Arguments are those of `_find_unread_switches`.
+    """
+    for row in sorted(table, key=lambda row: int(row["place"])):
+        line = lines[row["place"]]
+        chip: Any = stage.axes[line.axis].chip
+        if (
+            line.line in POWER_STAGE_OUTPUTS
+            and reads[row["pin"]]
+            and (reason := chip.explain_output_mistake(line.line))
+        ):
+            yield WiringFinding(line.axis, f"The program reads {line.axis}.{line.line} = {line.pin}, and {reason}.")
+
+
+def _name_undriven_inputs(table: np.ndarray, firmware: FirmwareUse) -> list[str]:
+    """Return the names of the pins and ports that a program reads where no line is; see `find_firmware_wiring_findings`."""
+    reads, has_ports = firmware.reads["reads"], bool(firmware.pins["has_ports"])
+    numbers = {bit: number for number, bit in reversed(list(enumerate(firmware.board_pins)))}
+    pins = [pin for pin in np.flatnonzero(reads & PIN_READ).tolist() if pin not in table["pin"]]
+    ports = dict.fromkeys(PORTS[pin // 8] for pin in np.flatnonzero(reads & PORT_READ).tolist() if pin not in pins)
+    names = [
+        f"{numbers[pin]} ({_name_pin(pin, False, True)})"
+        if pin in numbers
+        else _name_pin(pin, not has_ports, has_ports)
+        for pin in pins
+    ]
+    return names + [f"port {port}" for port in ports]
+
+
+def find_silent_serial_lines(use: Any) -> tuple[WiringFinding, ...]:
+    """Return the serial lines over which a program has sent bytes while its transmitter was off.
+
+    Args:
+        use: SERIAL_USE record of the firmware. What it sends over line 0 is in the log in any case, so that is a remark.
+    """
+    findings = []
+    for number in np.flatnonzero(use["unsent"]).tolist():
+        name = name_serial_line(number)
+        in_c = f", or in C for an AVR set TXEN{number} in UCSR{number}B" if number < SOFTWARE_LINE else ""
+        text = (
+            f"The program sent {int(use['unsent'][number]):,} bytes over {name} while its transmitter was off, so that none left "
+            f"the pin: call {name}.begin before{in_c}."
+        )
+        findings.append(WiringFinding("", text, is_problem=number > 0))
+    return tuple(findings)
 
 
 def _name_pin(pin: int, has_numbers: bool, has_ports: bool) -> str:
@@ -154,7 +257,7 @@ def _find_unread_switches(
     Args:
         table: LINE records as the firmware has them.
         lines: The lines, in the order of `table`.
-        reads: Whether the program has read each pin.
+        reads: How the program has read each pin.
         stage: Stage with the axes.
     """
     for row in sorted(table, key=lambda row: int(row["place"])):

@@ -15,7 +15,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 from stage.board import firmware_library, memory_mapped_ports
 from stage.board.board import Board
@@ -25,11 +25,11 @@ from stage.board.errors import HostTimeout
 from stage.board.firmware_pins import parse_firmware_pins
 from stage.board.host_record_link import UNBOUNDED
 from stage.board.pacing import RealTimePace
-from stage.board.pin_assignment import PinLine, WiringFinding, split_uart_lines
+from stage.board.pin_assignment import NO_PINS, PinWiring, WiringFinding
 from stage.board.serial_line import SerialPort
 from stage.board.temporary_folders import TemporaryFolder
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
-from stage.board.uart_wire import UartWire
+from stage.board.uart_wiring import UartWiring
 from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
@@ -111,7 +111,7 @@ class Host:
         self.serial = SerialPort(self)
         self._serial_ports = {0: self.serial}
         self.pacing: RealTimePace | None = None
-        self._wires: list[tuple[tuple[str, ...], UartWire]] = []
+        self._uart_wiring: UartWiring | None = None
 
     @classmethod
     def _check_arguments(cls, board: Board, patience: float, example: str) -> None:
@@ -121,22 +121,13 @@ class Host:
         if not (isinstance(patience, int | float) and patience > 0):
             raise ArgumentError(f"patience={patience!r}: seconds of real time, more than 0.")
 
-    def _connect_uarts(self, wires: Mapping[int, Sequence[str]]) -> None:
+    def _connect_uarts(self, wiring: PinWiring) -> None:
         """Connect the UARTs of axes' chips to serial lines of the firmware.
 
-        Args:
-            wires: Names of the axes by the number of the serial line.
-
         Raises:
-            ArgumentError: The firmware does not have the serial line.
+            ArgumentError: The firmware does not have one of the serial lines.
         """
-        for number, axes in wires.items():
-            if number >= self.SERIAL_LINES:
-                raise ArgumentError(f"--pins {axes[0]}.uart: this firmware has one serial line, Serial.")
-            chips: list[Any] = [self.board.stage.axes[name].chip for name in axes]
-            wire = UartWire([chip.uart for chip in chips], self.board.serial_lines.lines[number].read_byte_ns)
-            self.get_serial_port(number).connect(wire)
-            self._wires.append((tuple(axes), wire))
+        self._uart_wiring = UartWiring(self, wiring)
 
     def get_serial_port(self, number: int) -> SerialPort:
         """Return the other end of a serial line; bytes that the firmware sends over it before the first call are lost.
@@ -147,11 +138,19 @@ class Host:
         Raises:
             ArgumentError: There is no line with this number.
         """
-        if not (isinstance(number, int) and 0 <= number < self.SERIAL_LINES):
-            raise ArgumentError(f"number={number!r}: this firmware has the serial lines 0 to {self.SERIAL_LINES - 1}.")
+        lines = self.board.serial_lines.lines[: self.SERIAL_LINES]
+        present = [0, *(k for k, line in enumerate(lines) if k and line.is_wired)]
+        if number not in present:
+            raise ArgumentError(
+                f"number={number!r}: the serial lines of {self.path.name} are {', '.join(map(str, present))}."
+            )
         if number not in self._serial_ports:
             self._serial_ports[number] = SerialPort(self, number)
         return self._serial_ports[number]
+
+    def get_open_serial_ports(self) -> Mapping[int, SerialPort]:
+        """Return the other ends of the serial lines that `get_serial_port` has opened, by the number of the line."""
+        return self._serial_ports
 
     @property
     def running(self) -> bool:
@@ -161,13 +160,7 @@ class Host:
     @property
     def wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Signs that lines of axes are at the wrong pins of the firmware, as of the last pause or end."""
-        return self._runner.wiring_findings + tuple(
-            WiringFinding(
-                "", f"The chips of {', '.join(axes)} reply at once over their UART: give each another address."
-            )
-            for axes, wire in self._wires
-            if wire.collisions
-        )
+        return self._runner.wiring_findings + (self._uart_wiring.find_findings() if self._uart_wiring else ())
 
     @property
     def wiring_problems(self) -> tuple[str, ...]:
@@ -326,13 +319,13 @@ class NativeProgram:
         path: Path of the library.
         windows: Windows of memory-mapped registers.
         cost: Simulated time that each basic block takes, ps; 0: the library does not count basic blocks.
-        lines: Lines of axes at its pins.
+        wiring: Lines of axes at its pins.
     """
 
     path: Path
     windows: tuple[memory_mapped_ports.Window, ...] = ()
     cost: int = 0
-    lines: tuple[PinLine, ...] = ()
+    wiring: PinWiring = NO_PINS
 
     def load(self, board: Board, isolated: bool) -> LoadedProgram:
         """Load a copy of the library for a board.
@@ -349,12 +342,12 @@ class NativeProgram:
         if isolated and IS_SUPPORTED:
             from stage.board.isolation.traps import TrappedLibrary
 
-            return TrappedLibrary(self.path, board.link, self.cost, self.lines, self.windows)
+            return TrappedLibrary(self.path, board.link, self.cost, self.wiring, self.windows)
         if self.windows:
             raise StageError(
                 f"map={', '.join(map(str, self.windows))}: {memory_mapped_ports.explain_missing_windows(isolated)}"
             )
-        return firmware_library.Library(self.path, board.link, self.cost, self.lines)
+        return firmware_library.Library(self.path, board.link, self.cost, self.wiring)
 
 
 class NativeHost(Host):
@@ -402,15 +395,15 @@ class NativeHost(Host):
                 f"cost={cost!r}: simulated seconds a basic block, 1e-12 to 1, for example 50e-9; 0 for none."
             )
         mapped = memory_mapped_ports.parse_windows(map)
-        lines, wires = split_uart_lines(parse_firmware_pins(pins, board.stage))
+        wiring = parse_firmware_pins(pins, board.stage)
         self._scratch = (
             TemporaryFolder() if firmware_library.are_sources(firmware) else None
         )  # what is built goes with the host
         folder = self._scratch.path if self._scratch else None
         path = firmware_library.find_library(firmware, flags, platform, folder, cost > 0, libraries)
-        super().__init__(NativeProgram(path, mapped, round(cost * 1e12), lines), board, isolated, patience)
+        super().__init__(NativeProgram(path, mapped, round(cost * 1e12), wiring), board, isolated, patience)
         board.serial_lines.rows["is_wired"] = 1
-        self._connect_uarts(wires)
+        self._connect_uarts(wiring)
 
 
 def to_nanoseconds(seconds: float, name: str) -> int:

@@ -15,12 +15,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from stage.chips import Chip
-from stage.chips.stepdir.line_names import DRIVEN, READ, has_line
+from stage.chips.stepdir.line_names import DRIVEN, POWER_STAGE_OUTPUTS, READ, has_line
 from stage.errors import ArgumentError, unknown_name_error
 
 UART_LINE = "uart"
-SERIAL_LINES = {"Serial": 0, "Serial1": 1, "Serial2": 2, "Serial3": 3, "SoftwareSerial": 4}
-"""Serial lines of a microcontroller by the names of Arduino, and their numbers; SoftwareSerial is the first one of a sketch."""
+SERIAL_LINES = {
+    "Serial": 0, "Serial1": 1, "Serial2": 2, "Serial3": 3,
+    "SoftwareSerial": 4, "SoftwareSerial2": 5, "SoftwareSerial3": 6, "SoftwareSerial4": 7,
+}  # fmt: skip
+"""Serial lines of a microcontroller by the names of Arduino, and their numbers; SoftwareSerial to SoftwareSerial4 are the first
+objects of a sketch in their order."""
 SHARED = ("enable", UART_LINE, *READ)
 """Lines of several axes that may be on one pin."""
 NO_PIN = "none"
@@ -109,6 +113,36 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case:
     return tuple(lines.values())
 
 
+def name_serial_line(number: int) -> str:
+    """Return the name of a serial line, as --pins has it."""
+    return next(name for name, of_name in SERIAL_LINES.items() if of_name == number)
+
+
+def find_unconnected_outputs(
+    texts: Iterable[str], lines: Iterable[PinLine], chips: Mapping[str, Chip]
+) -> tuple[tuple[str, str], ...]:
+    """Find outputs of power stages and UARTs of chips that are at no pin, and that the texts do not take out as x.diag=none does.
+
+    Args:
+        texts: The texts that `parse_pins` has parsed.
+        lines: Its result.
+        chips: Chip of each axis by the axis' name.
+
+    Returns:
+        Names of the axis and the line of each. Axes without any line are left out.
+    """
+    entries = {part.strip() for text in texts for part in text.split(",")}
+    connected = {(line.axis, line.line) for line in lines}
+    return tuple(
+        (axis, name)
+        for axis in dict.fromkeys(axis for axis, _ in connected)
+        for name in (*POWER_STAGE_OUTPUTS, UART_LINE)
+        if (name in chips[axis].INPUTS or (name == UART_LINE and getattr(chips[axis], "uart", None) is not None))
+        and (axis, name) not in connected
+        and f"{axis}.{name}={NO_PIN}" not in entries
+    )
+
+
 def _parse_entry(entry: str) -> PinLine:
     """Parse one entry, AXIS.LINE=PIN. Raises ArgumentError for another form."""
     match = _ENTRY.fullmatch(entry)
@@ -179,17 +213,35 @@ def _check_pins(lines: Iterable[PinLine]) -> None:
             )
 
 
-def split_uart_lines(lines: Sequence[PinLine]) -> tuple[tuple[PinLine, ...], dict[int, list[str]]]:
-    """Split lines into those at pins and the UARTs at serial lines.
+class PinWiring(NamedTuple):
+    """Lines of axes at pins and serial lines of a microcontroller.
 
-    Returns:
-        The lines at pins, and the names of the axes by the number of their serial line.
+    Attributes:
+        lines: Lines at pins.
+        uarts: Number of each serial line with UARTs, and the names of their axes.
+        unconnected: Axis and name of each output of a power stage and each UART, of axes with lines, that is at no pin; without
+            those that the user has taken out, as x.diag=none does.
     """
-    wires: dict[int, list[str]] = {}
+
+    lines: tuple[PinLine, ...] = ()
+    uarts: tuple[tuple[int, tuple[str, ...]], ...] = ()
+    unconnected: tuple[tuple[str, str], ...] = ()
+
+
+NO_PINS = PinWiring()
+
+
+def parse_wiring(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case: bool = False) -> PinWiring:
+    """Parse texts that connect lines of axes to pins, and UARTs to serial lines. Arguments and errors are those of `parse_pins`."""
+    entries = [texts] if isinstance(texts, str) else list(texts)
+    lines = parse_pins(entries, chips, fold_case)
+    uarts: dict[int, tuple[str, ...]] = {}
     for line in lines:
         if line.line == UART_LINE:
-            wires.setdefault(SERIAL_LINES[line.pin], []).append(line.axis)
-    return tuple(line for line in lines if line.line != UART_LINE), wires
+            number = SERIAL_LINES[line.pin]
+            uarts[number] = (*uarts.get(number, ()), line.axis)
+    at_pins = tuple(line for line in lines if line.line != UART_LINE)
+    return PinWiring(at_pins, tuple(uarts.items()), find_unconnected_outputs(entries, lines, chips))
 
 
 class WiringFinding(NamedTuple):

@@ -255,10 +255,21 @@ extern struct pulsestage_pin_use pulsestage_pin_use;
 PULSESTAGE_SHARED struct pulsestage_pin_use pulsestage_pin_use = {{0}, {0}, 0, {0}};
 struct pulsestage_pin_reads {
     int32_t refusals;       /* calls with a pin or a mode that does not exist */
-    uint8_t reads[PS_PINS]; /* whether the program has read the pin of a switch */
+    uint8_t reads[PS_PINS]; /* how the program has read each pin, PS_LINE_READ ... */
+};
+enum {
+    PS_LINE_READ = 1, /* the pin has a line */
+    PS_PIN_READ = 2,  /* the pin has no line that drives it */
+    PS_PORT_READ = 4  /* the same, with all the other pins of its port */
 };
 extern struct pulsestage_pin_reads pulsestage_pin_reads;
 PULSESTAGE_SHARED struct pulsestage_pin_reads pulsestage_pin_reads = {0, {0}};
+enum { PS_SERIAL_LINES = 8 };
+struct pulsestage_serial_use {
+    uint32_t unsent[PS_SERIAL_LINES]; /* bytes for each serial line while its transmitter was off */
+};
+extern struct pulsestage_serial_use pulsestage_serial_use;
+PULSESTAGE_SHARED struct pulsestage_serial_use pulsestage_serial_use = {{0}};
 
 /* Whether `value` is one of `first` to `last`; the report quotes the first call for which it is not. */
 static inline int ps_check_pin_(const char *function, int pin, const char *what, int value, int first, int last)
@@ -310,7 +321,7 @@ static inline uint32_t ps_read_pins(int first, uint32_t wanted, int64_t cycle)
         const uint32_t place = (uint32_t)(line->pin - first), bit = place > 31 ? 0 : 1u << place & wanted;
         if (line->driven || !bit)
             continue;
-        pulsestage_pin_reads.reads[line->pin] = 1;
+        pulsestage_pin_reads.reads[line->pin] = PS_LINE_READ;
         if (line->chip != chip)
             chip = line->chip, word = ps_request(PS_READ_LINES, chip | cycle, 0), cycle = 0;
         if (!(known & bit))
@@ -322,6 +333,12 @@ static inline uint32_t ps_read_pins(int first, uint32_t wanted, int64_t cycle)
     if (cycle)
         ps_micros();
     return levels;
+}
+/* Remembers for the report that the program reads a pin, unless a line drives it. */
+static inline void ps_note_read_(int pin)
+{
+    if (!pulsestage_pin_reads.reads[pin])
+        pulsestage_pin_reads.reads[pin] = PS_PIN_READ;
 }
 /* Drives a pin that has a new level, or a new mode. */
 static inline void ps_change_pin_(int pin, int level, int output)
@@ -351,6 +368,8 @@ static inline int ps_pin_read(int pin)
     if (!ps_check_pin_("ps_pin_read", pin, "pin", pin, 0, PS_PINS - 1))
         return 1;
     levels = ps_read_pins((int)n * 32, bit & ~pulsestage_pins.outputs[n], PS_WITH_CYCLE);
+    if (!(pulsestage_pins.outputs[n] & bit))
+        ps_note_read_(pin);
     return ((levels | (pulsestage_pins.levels[n] & pulsestage_pins.outputs[n])) & bit) != 0;
 }
 /* Watches the switches of a chip at pins with hooks, and acknowledges their change; 0 if there are none. */
@@ -397,6 +416,8 @@ static inline void ps_on_pin(int pin, int mode, ps_hook hook, void *argument)
     }
     own->hook = hook, own->argument = argument, own->pin = pin, own->mode = mode;
     own->level = hook ? (int32_t)ps_read_pins(pin, 1, 0) : 0;
+    if (hook)
+        ps_note_read_(pin);
     for (k = 0; k < pulsestage_pins.n_lines; k++)
         if (pulsestage_pins.lines[k].pin == pin && !pulsestage_pins.lines[k].driven) {
             const int64_t chip = pulsestage_pins.lines[k].chip;

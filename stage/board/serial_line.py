@@ -346,6 +346,16 @@ class SerialPort:
             next_exchange = min(now + POLL_NS, until if next_exchange is None else next_exchange)
         return until if next_exchange is None else min(until, max(next_exchange, now))
 
+    @property
+    def is_connected(self) -> bool:
+        """True while another end than Python is at the line."""
+        return self._end is not None
+
+    @property
+    def unread(self) -> bytes:
+        """Bytes that the firmware has sent and nobody has read; they stay unread."""
+        return bytes(self._unread)
+
     def disconnect(self) -> None:
         """Remove the end that is connected; Python is the other end again."""
         self._end = None

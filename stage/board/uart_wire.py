@@ -22,6 +22,23 @@ class ChipUart(Protocol):
 
     baud: int
 
+    address_rule: str
+    """Sentence for users that says what the address of a chip depends on."""
+
+    @property
+    def address(self) -> int:
+        """Address of the chip on its wire."""
+        ...
+
+    @property
+    def datagrams(self) -> int:
+        """Number of right datagrams for this chip since it was powered up."""
+        ...
+
+    def contains_datagram(self, content: bytes) -> bool:
+        """Return whether bytes of a host contain a right datagram, for whatever address."""
+        ...
+
     @property
     def pending(self) -> int:
         """Number of bytes of the host that have not arrived."""
@@ -61,7 +78,8 @@ class UartWire(SerialEnd):
         echoes: Whether the host hears what it sends.
 
     Attributes:
-        collisions: Number of bytes that several chips have sent at once, with different bits.
+        collisions: Number of bytes that several chips have sent at once.
+        has_understood: Whether each chip has understood a datagram so far.
     """
 
     pausing_byte = ANY_BYTE
@@ -73,6 +91,7 @@ class UartWire(SerialEnd):
         self._uarts, self._read_byte_ns, self._echoes = tuple(uarts), read_byte_ns, echoes
         self._byte_ns = 0
         self.collisions = 0
+        self.has_understood = [False] * len(self._uarts)
 
     @property
     def room(self) -> int:
@@ -87,6 +106,9 @@ class UartWire(SerialEnd):
     def exchange(self, sent: bytes, now: int, room: int) -> bytes:
         """Pass on what the host and the chips have sent, and return what the host hears."""
         received = self._pass_replies_on()
+        self.has_understood = [
+            bool(known or uart.datagrams) for known, uart in zip(self.has_understood, self._uarts, strict=True)
+        ]
         if not sent:
             return received
         if (byte_ns := self._read_byte_ns()) and byte_ns != self._byte_ns:
@@ -105,7 +127,7 @@ class UartWire(SerialEnd):
         if not any(replies):
             return b""
         columns = [[byte for byte in column if byte is not None] for column in zip_longest(*replies)]
-        self.collisions += sum(len(set(column)) > 1 for column in columns)
+        self.collisions += sum(len(column) > 1 for column in columns)
         received = bytes(reduce(and_, column) for column in columns)
         for uart, reply in zip(self._uarts, replies, strict=True):
             if not reply:

@@ -18,7 +18,7 @@ from pathlib import Path
 from stage.board.board import Board
 from stage.board.host import Host
 from stage.board.memory_mapped_ports import Window, parse_windows
-from stage.board.pin_assignment import PinLine, parse_pins, split_uart_lines
+from stage.board.pin_assignment import PinLine, parse_wiring
 from stage.board.thread_runner import PATIENCE_S, Program
 from stage.errors import ArgumentError
 from stage.targets import supported_processors
@@ -81,8 +81,8 @@ class TargetHost(Host):
         maps = [map] if isinstance(map, str) else list(map)
         chips = {name: axis.chip for name, axis in board.stage.axes.items()}
         hz = None if mcu_clock is None else round(mcu_clock)
-        lines, wires = split_uart_lines(parse_pins(pins, chips, fold_case=True))
-        program = make_program(Path(firmware), self.mcu, maps, lines, hz, gdb)
+        wiring = parse_wiring(pins, chips, fold_case=True)
+        program = make_program(Path(firmware), self.mcu, maps, wiring.lines, hz, gdb)
         super().__init__(program, board, isolated, DEBUG_PATIENCE_S if gdb else patience)
         self.serial_lack = (
             AVR_SERIAL_LACK
@@ -91,7 +91,7 @@ class TargetHost(Host):
             if mcu in supported_processors.CORTEX
             else PC_SERIAL_LACK
         )
-        self._connect_uarts(wires)
+        self._connect_uarts(wiring)
 
 
 def _check_port_is_free(port: int) -> None:

@@ -51,6 +51,7 @@ AVR = """
 int main(void)
 {
     uint8_t byte;
+    UCSR0B = _BV(TXEN0) | _BV(RXEN0);
     do {
         loop_until_bit_is_set(UCSR0A, RXC0);
         byte = UDR0;

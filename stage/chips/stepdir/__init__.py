@@ -107,6 +107,14 @@ class STEPDIR(Chip):
         c["required"] = [round(seconds * self.clock_hz) for seconds in power_stage.times]
         self.power_stage = power_stage.title
 
+    def list_configured_outputs(self) -> tuple[str, ...]:
+        """Return the names of the outputs that a host has set up, so that it has to read them to find what they show."""
+        return ()
+
+    def explain_output_mistake(self, name: str) -> str:
+        """Return why an output that a host reads cannot show what it is read for, as a clause; "" if it can, or nobody knows."""
+        return ""
+
     def _explain_unknown_attribute(self, name: str) -> str:
         lines = ", ".join(DRIVEN)
         similar = find_similar_names(name, DRIVEN | READ)

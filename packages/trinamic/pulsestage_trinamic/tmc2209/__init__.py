@@ -16,13 +16,13 @@ from typing import Any, ClassVar
 
 from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
 from pulsestage_trinamic.step_dir_registers import StepDirRegisters
-from pulsestage_trinamic.tmc2209 import core, lint, maps, power_stage
+from pulsestage_trinamic.tmc2209 import core, lint, maps, power_stage, state
 from pulsestage_trinamic.tmc2209.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc2209.maps import MAP
 from pulsestage_trinamic.tmc2209.state import MS1, MS2
 from pulsestage_trinamic.tmc2209.uart_port import UartPort
 from stage.chips.stepdir.line_names import Line
-from stage.chips.write_diagnostics import Diagnostic, Finding
+from stage.chips.write_diagnostics import Cause, Diagnostic, Finding
 from stage.errors import ArgumentError
 
 __all__ = ["TMC2209"]
@@ -104,6 +104,13 @@ class TMC2209(StepDirRegisters):
             self.diagnose(clock, maps.UART_BYTE, 0, [finding])
         return diagnostics
 
+    def find_cause_of(self, diagnostic: Diagnostic) -> Cause:
+        if diagnostic.key in lint.KINDS:
+            return Cause("datagram", int(self.state["mistakes"][lint.KINDS[diagnostic.key]]))
+        if diagnostic.address in (maps.UART_BYTE, maps.UART_OTHER):
+            return Cause("setting", 1)
+        return super().find_cause_of(diagnostic)
+
     # --- load and current ---
 
     def set_load(self, lam: int, emf: int = 1024) -> None:
@@ -121,6 +128,16 @@ class TMC2209(StepDirRegisters):
                 f"set_load({lam!r}, {emf!r}): both values are 0 to 1024. The motor of a stage sets the load of its chip itself."
             )
         core.set_fixed_load.with_gil(self.pointer, int(lam), int(emf))
+
+    def list_configured_outputs(self) -> tuple[str, ...]:
+        registers = self.state["registers"]
+        return ("diag",) if registers[state.SGTHRS] and registers[state.TCOOLTHRS] else ()
+
+    def explain_output_mistake(self, name: str) -> str:
+        registers = self.state["registers"]
+        if name != "diag" or registers[state.SGTHRS] or not registers[state.TCOOLTHRS]:
+            return ""
+        return "SGTHRS is 0, as after a reset, so that DIAG shows a stall at SG_RESULT 0 only, which a real motor need not reach"
 
     def explain_missing_current(self, axis: int = 0) -> str:
         """Explain why the power stage supplies no current to the motor; "" if it does."""

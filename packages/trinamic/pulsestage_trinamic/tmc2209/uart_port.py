@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 SECOND_NS = 1_000_000_000
 BAUD_RANGE = (300, 2_000_000)
+MAX_ADDRESS = 3
 
 
 def compute_crc(content: bytes) -> int:
@@ -51,8 +52,25 @@ class UartPort:
         chip: The chip at the other end.
     """
 
+    address_rule = "The address of a TMC2209 is MS1 + 2 MS2, by the microsteps of its Drive: 0 for 8, 1 for 32, 2 for 64, 3 for 16."
+
     def __init__(self, chip: TMC2209):
         self._chip = chip
+
+    @property
+    def datagrams(self) -> int:
+        """Number of right datagrams for this chip since it was powered up."""
+        return int(self._chip.state["datagrams"])
+
+    def contains_datagram(self, content: bytes) -> bool:
+        """Return whether bytes of a host contain a right datagram, for whatever address."""
+        begins = (k for k in range(len(content) - uart.READ_SIZE + 1) if content[k] & 0xF == uart.SYNC)
+        for k in begins:
+            size = uart.WRITE_SIZE if content[k + 2] & uart.WRITE_BIT else uart.READ_SIZE
+            datagram = content[k : k + size]
+            if len(datagram) == size and content[k + 1] <= MAX_ADDRESS and compute_crc(datagram[:-1]) == datagram[-1]:
+                return True
+        return False
 
     @property
     def baud(self) -> int:

@@ -23,6 +23,8 @@ from stage.errors import ArgumentError
 __all__ = ["StepDirTMC5160"]
 
 SPI_DATAGRAM = maps.SPI_BASE + 2
+STALL_MASKS = dict(zip(("diag0", "diag1"), MAP.masks("GCONF", "diag0_step", "diag1_dir"), strict=True))
+"""Bits of GCONF with which DIAG0 and DIAG1 show a stall while SD_MODE is high."""
 
 
 class StepDirTMC5160(StepDirRegisters):
@@ -100,6 +102,10 @@ class StepDirTMC5160(StepDirRegisters):
                 f"set_load({lam!r}, {emf!r}): both values are 0 to 1024. The motor of a stage sets the load of its chip itself."
             )
         core.set_fixed_load.with_gil(self.pointer, int(lam), int(emf))
+
+    def list_configured_outputs(self) -> tuple[str, ...]:
+        gconf = self.read_register("GCONF")
+        return tuple(name for name, mask in STALL_MASKS.items() if gconf & mask)
 
     def explain_missing_current(self, axis: int = 0) -> str:
         """Explain why the power stage supplies no current to the motor; "" if it does."""

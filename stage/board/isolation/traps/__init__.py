@@ -30,7 +30,7 @@ from stage.board.isolation.traps.signal_handlers import (
 )
 from stage.board.isolation.traps.sleep_calls import observe_calls, redirect_calls, set_observer
 from stage.board.memory_mapped_ports import Window
-from stage.board.pin_assignment import PinLine
+from stage.board.pin_assignment import PinWiring
 from stage.errors import StageError
 
 __all__ = ["TrappedLibrary", "block_timers", "find_position", "redirect_calls", "trap_thread", "watch_crashes"]
@@ -44,9 +44,9 @@ class TrappedLibrary(Library):
         StageError: The system allows no windows; see also `Library`.
     """
 
-    def __init__(self, path: Path, link: Link, cost: int, lines: tuple[PinLine, ...], windows: tuple[Window, ...]):
+    def __init__(self, path: Path, link: Link, cost: int, wiring: PinWiring, windows: tuple[Window, ...]):
         self._handlers = SignalHandlers()
-        super().__init__(path, link, cost, lines)
+        super().__init__(path, link, cost, wiring)
         observe_calls(self.handle)
         self._windows = link.windows = MemoryWindows(self, link)
         try:

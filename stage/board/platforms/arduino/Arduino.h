@@ -165,8 +165,10 @@ static inline void attachInterrupt(int pin, void (*routine)(void), int mode)
     if (pulsestage::pins().switches[at >> 3] >> (at & 7) & 1) {
         pulsestage::pin_interrupt(at) = {routine, false};
         ps_on_pin(at, mode == LOW ? FALLING : mode, routine ? pulsestage::PinInterrupt::called : nullptr, &pulsestage::pin_interrupt(at));
-    } else
+    } else {
+        pulsestage::note_reads(at >> 3, routine ? uint8_t(1 << (at & 7)) : 0);
         pulsestage::interrupt_line().attach(routine, mode != LOW);
+    }
 }
 static inline void detachInterrupt(int pin) { attachInterrupt(pin, nullptr, CHANGE); }
 

@@ -145,8 +145,12 @@ class HardwareSerial : public Stream
 {
   public:
     explicit HardwareSerial(int line = 0) : line_(line) {} /* the number of the board's serial line */
-    void begin(unsigned long bits_per_second, int = 0) { ps_serial_line_rate(line_, uint32_t(bits_per_second)); }
-    void end() {}
+    void begin(unsigned long bits_per_second, int = 0)
+    {
+        ps_serial_line_rate(line_, uint32_t(bits_per_second));
+        port().control = BOTH_ON;
+    }
+    void end() { port().control = 0; }
     operator bool() const { return true; }
     using Print::write;
     size_t write(uint8_t c) override { return port().send(char(c)), 1; }
@@ -162,6 +166,7 @@ class HardwareSerial : public Stream
     void feed(const char *text) { port().input = text; }
 
   private:
+    enum { BOTH_ON = pulsestage::SerialLine::TRANSMITTER | pulsestage::SerialLine::RECEIVER };
     pulsestage::SerialLine &port() const { return pulsestage::serial_line(line_); }
     int line_;
 };

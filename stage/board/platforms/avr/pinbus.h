@@ -408,6 +408,19 @@ inline void said_if_unwired()
                "need --chips stepdir --pins x.step=D2,x.dir=D5");
 }
 
+/* Remembers for the report that the program reads these inputs of a port, where nothing drives them. */
+inline void note_reads(int at, uint8_t inputs)
+{
+    const Pins &p = pins();
+    const bool is_whole = inputs & (inputs - 1);
+    if (is_whole && (p.switches[at] | p.driven[at] | p.special[at]))
+        return; /* for those that are driven */
+    inputs &= uint8_t(~(p.switches[at] | p.driven[at] | p.special[at] | p.buses[at]));
+    for (int bit = 0; inputs >> bit; bit++)
+        if (inputs >> bit & 1)
+            pulsestage_pin_reads.reads[at * 8 + bit] |= is_whole ? PS_PORT_READ : PS_PIN_READ;
+}
+
 /* What the program reads of a port, these bits of it. A pin that no bus drives costs a look at the clock, so that a loop which waits
  * for it goes on; `cycle` = 0: at once, without a bus cycle. */
 inline uint8_t look(int at, uint8_t mask = 0xFF, int64_t cycle = PS_WITH_CYCLE)
@@ -417,6 +430,8 @@ inline uint8_t look(int at, uint8_t mask = 0xFF, int64_t cycle = PS_WITH_CYCLE)
         p.renew();
     uint8_t value = uint8_t((outputs_of(at) & p.ddr[at]) | (~p.ddr[at] & (p.level[at] | ~p.driven[at])));
     const uint8_t switches = uint8_t(p.switches[at] & mask & ~p.ddr[at]);
+    if (cycle)
+        note_reads(at, uint8_t(mask & ~p.ddr[at]));
     if (switches)
         value = uint8_t((value & ~switches) | ps_read_pins(at * 8, switches, cycle));
     else if (!cycle)

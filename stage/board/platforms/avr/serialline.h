@@ -21,15 +21,20 @@ extern "C++" { /* also where a program in C is included */
 namespace pulsestage
 {
 struct SerialLine {
-    enum { MOST = 1000 };
+    enum { MOST = 1000, TRANSMITTER = 1 << 3, RECEIVER = 1 << 4 };
     char line[MOST + 1];
     int used;
     const char *input; /* what is left of it; 0: nothing has been read yet */
     int number;        /* of the board's serial line */
+    volatile uint8_t control; /* UCSRnB */
 
+    /* A byte leaves while the transmitter is on; the report of the run counts the others. */
     void send(char c)
     {
-        ps_serial_line_write(number, uint8_t(c));
+        if (control & TRANSMITTER)
+            ps_serial_line_write(number, uint8_t(c));
+        else
+            pulsestage_serial_use.unsent[number]++;
         if (c == '\r' || number)
             return;
         if (c != '\n')
@@ -58,7 +63,7 @@ struct SerialLine {
     }
 };
 
-enum { SERIAL_LINES = 8 };
+enum { SERIAL_LINES = PS_SERIAL_LINES };
 inline __attribute__((visibility("hidden"))) SerialLine &serial_line(int number = 0)
 {
     static SerialLine all[SERIAL_LINES];

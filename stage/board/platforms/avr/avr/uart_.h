@@ -31,8 +31,8 @@ template <int n> struct UcsraOf {
 #define PULSESTAGE_UART(n, name)                                                                                       \
     static const pulsestage::Register<pulsestage::UdrOf<n>> UDR##name __attribute__((unused)) = {};                    \
     static const pulsestage::Register<pulsestage::UcsraOf<n>> UCSR##name##A __attribute__((unused)) = {};              \
-    static volatile uint8_t UCSR##name##B __attribute__((unused)), UCSR##name##C __attribute__((unused)),              \
-        UBRR##name##H __attribute__((unused)), UBRR##name##L __attribute__((unused));                                  \
+    static volatile uint8_t UCSR##name##C __attribute__((unused)), UBRR##name##H __attribute__((unused)),              \
+        UBRR##name##L __attribute__((unused));                                                                         \
     static volatile uint16_t UBRR##name __attribute__((unused))
 PULSESTAGE_UART(0, 0);
 PULSESTAGE_UART(0, ); /* older chips */
@@ -42,6 +42,13 @@ PULSESTAGE_UART(2, 2);
 PULSESTAGE_UART(3, 3);
 #endif
 #undef PULSESTAGE_UART
+#define UCSRB pulsestage::serial_line(0).control
+#define UCSR0B pulsestage::serial_line(0).control
+#if defined(__AVR_ATmega2560__)
+#define UCSR1B pulsestage::serial_line(1).control
+#define UCSR2B pulsestage::serial_line(2).control
+#define UCSR3B pulsestage::serial_line(3).control
+#endif
 
 } /* extern "C++" */
 #endif
