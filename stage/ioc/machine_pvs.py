@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
-from caproto import ChannelType, SkipWrite
+from caproto import AlarmSeverity, AlarmStatus, ChannelType, SkipWrite
 from caproto.server import PVGroup, pvproperty
 
 from stage.errors import StageError
@@ -21,6 +21,21 @@ LOW_SUPPLY_SHARE = 0.3
 """Voltage of the fault "low supply", as a share of the drive's."""
 STUCK_SWITCHES = ("el_plus", "el_minus", "org")
 PRECISION = 4
+MESSAGE_LENGTH = 512
+
+
+def make_message(name: str) -> Any:
+    """Return a PV for a text longer than the 40 characters of a string of EPICS: an array of characters."""
+    return pvproperty(
+        value="", name=name, dtype=ChannelType.CHAR, max_length=MESSAGE_LENGTH, read_only=True,
+        doc="why the last request was refused, or what went wrong",
+    )  # fmt: skip
+
+
+async def write_message(pv: Any, text: str) -> None:
+    """Publish a text, with a severity of MAJOR unless it is empty."""
+    alarm = (AlarmStatus.STATE, AlarmSeverity.MAJOR_ALARM) if text else (AlarmStatus.NO_ALARM, AlarmSeverity.NO_ALARM)
+    await pv.write(text[: MESSAGE_LENGTH - 1], verify_value=False, status=alarm[0], severity=alarm[1])
 
 
 def list_faults(axis: Axis) -> dict[str, Callable[[Axis], Fault]]:
@@ -45,6 +60,7 @@ class AxisPVs(PVGroup):
         prefix: Name of the motor record.
         controller: Controller of the axis.
         axis: The axis.
+        refuse_request: Function that publishes why a request is refused, in the message of the motor record.
     """
 
     true_position = pvproperty(
@@ -70,9 +86,17 @@ class AxisPVs(PVGroup):
         value="", name=":Switches", dtype=ChannelType.STRING, read_only=True, doc="names of the switches that are on"
     )
 
-    def __init__(self, prefix: str, *, controller: MotionController, axis: ControlledAxis, **kwargs: Any):
+    def __init__(
+        self,
+        prefix: str,
+        *,
+        controller: MotionController,
+        axis: ControlledAxis,
+        refuse_request: Callable[[str], Awaitable[None]],
+        **kwargs: Any,
+    ):
         super().__init__(prefix, **kwargs)
-        self._controller, self._axis = controller, axis
+        self._controller, self._axis, self._refuse_request = controller, axis, refuse_request
         self._kinds = list_faults(axis.axis)
         self._fault: Fault | None = None
         self._published: dict[str, Any] = {}
@@ -108,7 +132,8 @@ class AxisPVs(PVGroup):
 
         try:
             await asyncio.wrap_future(self._controller.call(change))
-        except StageError:
+        except StageError as error:
+            await self._refuse_request(str(error))
             raise SkipWrite from None
         return word
 
@@ -124,6 +149,7 @@ class StagePVs(PVGroup):
     payload = pvproperty(
         value=0.0, name="Payload", units="kg", precision=3, record="ao", doc="mass on the load of the stage"
     )
+    message = make_message("Message")
     time = pvproperty(value=0.0, name="Time", units="s", precision=3, read_only=True, doc="simulated time")
 
     def __init__(self, prefix: str, *, controller: MotionController, **kwargs: Any):
@@ -140,6 +166,10 @@ class StagePVs(PVGroup):
         """Put a mass on the load. A mass that the stage refuses changes nothing."""
         try:
             await asyncio.wrap_future(self._controller.call(lambda stage: stage.set_payload(value)))
-        except StageError:
+        except StageError as error:
+            await write_message(self.message, str(error))
+            await instance.alarm.write(status=AlarmStatus.STATE, severity=AlarmSeverity.MAJOR_ALARM)
             raise SkipWrite from None
+        await write_message(self.message, "")
+        await instance.alarm.write(status=AlarmStatus.NO_ALARM, severity=AlarmSeverity.NO_ALARM)
         return value

@@ -84,12 +84,13 @@ class ControlledAxis:
         limits: Lowest and highest soft limit by default.
         top_speed: Highest speed that chip and motor reach, dial units a second.
         home_name: Stop reason of the last successful homing; "" before one.
+        is_enabled: Whether the position loop of a servo is closed.
     """
 
     def __init__(self, axis: Axis):
         self.axis = axis
         self.unit, self._factor = USER_UNITS[axis.unit]
-        self.step = axis.meters_per_pulse * self._factor
+        self.step = float(f"{axis.meters_per_pulse * self._factor:.10g}")  # 0.003125 for 0.0031250000000893
         self._driver = get_driver(axis)
         trips = axis.switches.list_trip_positions()
         ends = trips.get("el_minus", axis.travel[0]), trips.get("el_plus", axis.travel[1])
@@ -99,6 +100,7 @@ class ControlledAxis:
         self.top_speed = compute_top_speed(axis) * self._factor
         self._offset = self._encoder_offset = 0.0
         self.reason = self.trouble = self.home_name = ""
+        self.is_enabled = True
         self.set_pulses(round(get_forward_direction(axis) * axis.position / axis.meters_per_pulse))
 
     def read(self, trouble: str = "") -> Reading:
@@ -131,6 +133,7 @@ class ControlledAxis:
         """Close or open the position loop of a servo; an axis without one stays as it is."""
         if not self.axis.chip.SERVO:
             return
+        self.is_enabled = enabled
         if enabled:
             self._driver.prepare()
         else:

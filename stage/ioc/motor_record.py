@@ -7,7 +7,8 @@ Three coordinates (EPICS motor record documentation):
     user   VAL, RBV     DIR * dial + OFF
 
 Each put that causes motion runs as a motion: DMOV becomes 0, the axis moves, the final RBV is published, and DMOV becomes 1. A
-newer motion replaces the one under way; a put with completion waits until the record is done.
+newer motion replaces the one under way; a put with completion waits until the record is done. While SPMG is Stop or Pause, a motion
+is held: DMOV stays 0 until Go.
 """
 
 from __future__ import annotations
@@ -18,14 +19,16 @@ from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
 
-from caproto import AlarmSeverity, AlarmStatus, ChannelType, SkipWrite
+from caproto import AlarmSeverity, AlarmStatus, SkipWrite
 from caproto.server import PVGroup, pvproperty
 from caproto.server.records import MotorFields
 from caproto.server.server import PvpropertyDouble, PvpropertyString
 
 from stage.errors import StageError
 from stage.firmware import AxisAction
+from stage.ioc.machine_pvs import make_message, write_message
 from stage.ioc.motion_controller import ControlledAxis, MotionController, Profile, Reading
+from stage.ioc.move_planning import PlannedMove
 
 Motion = Callable[[int], Awaitable[bool]]
 """Coroutine function of the motion's number; it returns whether VAL takes the final position."""
@@ -36,17 +39,27 @@ DEFAULT_SPEED_SHARE = 0.2
 """Default of VELO, as a share of the axis' top speed; at most MAX_DEFAULT_SPEED."""
 MAX_DEFAULT_SPEED = 20.0
 DEFAULT_ACCEL_S = 0.2
+DEFAULT_RETRIES = 10
+REPLACED_ACCEL_S = 0.1
+"""Ramp time that replaces one of 0 or less, as in the real record."""
+JOG_MARGIN_S = 1.0
+"""Travel time to a soft limit at which a jog ends."""
 PRECISION = 4
 ROUNDING_DIGITS = 9
-MESSAGE_LENGTH = 512
 STOP, PAUSE, MOVE, GO = range(4)
 SPMG_WORDS = ("Stop", "Pause", "Move", "Go")
+SPEED_PAIRS = {"VELO": "S", "BVEL": "SBAK", "VBAS": "SBAS", "VMAX": "SMAX"}
+"""Fields of speeds in units a second, and the same speeds in revolutions a second."""
+CLIPPED_SPEEDS = ("VELO", "BVEL", "JVEL", "HVEL")
+"""Speeds that stay between VBAS and VMAX."""
 STATUS_BITS = {
     "direction": 0x1, "done": 0x2, "plus_limit": 0x4, "home_switch": 0x8, "position_loop": 0x20, "slip": 0x40, "home": 0x80,
-    "encoder": 0x100, "problem": 0x200, "moving": 0x400, "minus_limit": 0x2000, "homed": 0x4000,
+    "encoder": 0x100, "problem": 0x200, "moving": 0x400, "has_loop": 0x800, "minus_limit": 0x2000, "homed": 0x4000,
 }  # fmt: skip
 """Bits of MSTA."""
-EARLY_REASONS = ("EL+", "EL-", "LIMIT", "error", "timeout", "unknown", "ALARM", "EMG", "stall")
+STALL_REASON = "stall"
+ROUNDING_ERROR = 1e-9
+EARLY_REASONS = ("EL+", "EL-", "LIMIT", "error", "timeout", "unknown", "ALARM", "EMG", STALL_REASON)
 
 
 class StageMotorFields(MotorFields):
@@ -76,10 +89,7 @@ class MotorRecord(PVGroup):
     """
 
     motor = pvproperty(dtype=TargetValue, value=0.0, name="", record=StageMotorFields, precision=PRECISION)
-    message = pvproperty(
-        value="", name=":Message", dtype=ChannelType.CHAR, max_length=MESSAGE_LENGTH, report_as_string=True,
-        read_only=True, doc="why the last request was refused, or what went wrong",
-    )  # fmt: skip
+    message = make_message(":Message")
 
     def __init__(
         self,
@@ -96,8 +106,11 @@ class MotorRecord(PVGroup):
         self._reading: Reading = axis.read()
         self._written: dict[str, Any] = {}
         self._number = 0
-        self._is_homing = self._has_tweaked = False
+        self._refusal = self._remark = ""
         self._direction = 1
+        self._is_paused = False
+        self._replaced = asyncio.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
         self._idle = asyncio.Event()
         self._idle.set()
         instance = self.motor.field_inst
@@ -118,8 +131,10 @@ class MotorRecord(PVGroup):
             "OFF": self._put_offset, "DIR": self._put_direction, "SSET": self._make_choice("SET", "Set"),
             "SUSE": self._make_choice("SET", "Use"), "FOF": self._make_choice("FOFF", "Frozen"),
             "VOF": self._make_choice("FOFF", "Variable"), "CNEN": self._put_enable, "UEIP": self._put_encoder_use,
-            **{name: self._put_speed for name in ("VELO", "VBAS", "HVEL", "JVEL", "BVEL")},
-            **{name: self._put_positive for name in ("ACCL", "BACC", "JAR")},
+            **{name: self._make_speed(name) for name in (*CLIPPED_SPEEDS, "VBAS", "VMAX")},
+            **{rps: self._make_speed(name, in_revolutions=True) for name, rps in SPEED_PAIRS.items()},
+            **{name: self._put_ramp for name in ("ACCL", "BACC", "JAR")}, "RDBD": self._put_retry_deadband,
+            **{name: self._put_number for name in ("BDST", "TWV", "SPDB", "DLY")},
             **{name: self._refuse for name in ("MRES", "ERES", "UREV", "SREV")},
         }  # fmt: skip
 
@@ -175,12 +190,13 @@ class MotorRecord(PVGroup):
             "EGU": axis.unit, "PREC": PRECISION, "MRES": step, "ERES": step, "RRES": step, "SREV": steps_per_turn,
             "UREV": steps_per_turn * step, "VMAX": axis.top_speed, "VELO": speed, "HVEL": speed, "JVEL": speed, "BVEL": speed,
             "VBAS": 0.0, "ACCL": DEFAULT_ACCEL_S, "BACC": DEFAULT_ACCEL_S, "JAR": speed / DEFAULT_ACCEL_S, "TWV": 1.0,
-            "RDBD": step, "SPDB": step, "RTRY": 0, "HLSV": "MAJOR", "OUT": f"@{self._name}", "DMOV": 1, "SPMG": "Go",
+            "RDBD": step, "SPDB": 0.0, "RTRY": DEFAULT_RETRIES, "HLSV": "MAJOR", "OUT": f"@{self._name}", "DMOV": 1, "SPMG": "Go",
             "FOFF": "Variable", "SET": "Use", "DIR": "Pos", "UEIP": "No", "CNEN": "Enable", "OFF": 0.0, "LVIO": 0,
-            "S": speed / (steps_per_turn * step), "SMAX": axis.top_speed / (steps_per_turn * step), "DESC": f"axis {self._name}",
+            "DESC": f"axis {self._name}",
         }  # fmt: skip
         for field, value in values.items():
             await self.force(field, value)
+        await self._publish_revolutions()
         for field in ("VAL", "RBV", "DVAL", "DRBV", "HLM", "LLM", "DHLM", "DLLM", "TWV", "OFF"):
             await self._fields[field].write_metadata(units=axis.unit, precision=PRECISION)
         await self._set_limits(*axis.limits)
@@ -191,44 +207,49 @@ class MotorRecord(PVGroup):
         """Publish what an axis does, unless a newer reading has been published."""
         if reading.state.time < self._reading.state.time:
             return
+        if dial_change := reading.dial - self._reading.dial or reading.state.speed:
+            self._direction = 1 if dial_change > 0 else -1
         self._reading = reading
         await self._publish_machine(reading)
         state, switches, step = reading.state, reading.state.switches, self._axis.step
-        if state.speed:
-            self._direction = 1 if state.speed > 0 else -1
+        trouble = self._refusal or reading.trouble
         plus, minus = switches.get("el_plus", False), switches.get("el_minus", False)
         high, low = (plus, minus) if self._sign > 0 else (minus, plus)
-        await self._set_alarm(high, low, reading)
-        dial = self._get_dial_reading()
+        dial, has_loop = self._get_dial_reading(), self._axis.axis.chip.SERVO
         is_done = self._idle.is_set()
         bits = {
             "direction": self._direction > 0, "done": is_done, "plus_limit": plus, "minus_limit": minus,
             "home_switch": switches.get("org", False), "home": switches.get("org", False), "moving": state.is_moving,
-            "encoder": True, "problem": bool(reading.trouble or state.missing_current), "slip": bool(state.lost_steps),
-            "homed": bool(self._axis.home_name), "position_loop": self._axis.axis.chip.SERVO,
+            "encoder": True, "problem": bool(trouble or state.missing_current), "slip": reading.reason == STALL_REASON,
+            "homed": bool(self._axis.home_name), "has_loop": has_loop, "position_loop": has_loop and self._axis.is_enabled,
         }  # fmt: skip
+        await self._set_alarm(high, low, bits["problem"] or bits["slip"])
         values = {
             "RHLS": int(plus), "RLLS": int(minus), "HLS": int(high), "LLS": int(low), "ATHM": int(switches.get("org", False)),
-            "TDIR": int(self._direction > 0), "CDIR": int(self._direction > 0), "MOVN": int(state.is_moving),
+            "TDIR": int(self._direction > 0), "MOVN": int(state.is_moving),
             "MSTA": sum(STATUS_BITS[name] for name, on in bits.items() if on),
-            "RMP": reading.pulses, "REP": round(reading.encoder / step), "RRBV": round(dial / step), "DRBV": dial,
+            "RMP": round(reading.dial / step), "REP": round(reading.encoder / step), "RRBV": round(dial / step), "DRBV": dial,
             "RBV": self._to_user(dial), "DIFF": round(self.get("DVAL") - dial, ROUNDING_DIGITS),
             "RDIF": round((self.get("DVAL") - dial) / step),
         }  # fmt: skip
         for field, value in values.items():
             await self.set(field, value)
-        if reading.trouble:
-            await self._say(reading.trouble)
+        await self._say(f"{self._name}: {self._refusal}" if self._refusal else reading.trouble or self._remark)
 
-    async def _set_alarm(self, high: bool, low: bool, reading: Reading) -> None:
-        """Publish the alarm of VAL and RBV: limit switches by HLSV, and errors of the controller."""
+    async def _set_alarm(self, high: bool, low: bool, has_problem: bool) -> None:
+        """Publish the alarm of VAL and RBV: HLSV at a limit switch or beyond a soft limit, else MAJOR for a problem."""
         severity, status = AlarmSeverity.NO_ALARM, AlarmStatus.NO_ALARM
-        if high or low:
-            words, value = ("NO_ALARM", "MINOR", "MAJOR", "INVALID"), self.get("HLSV")
-            severity = AlarmSeverity(words.index(value) if value in words else int(value))
-            status = AlarmStatus.HIGH if high else AlarmStatus.LOW
-        if reading.trouble:
-            severity, status = AlarmSeverity.INVALID_ALARM, AlarmStatus.STATE
+        target, low_limit, high_limit = self.get("DVAL"), self.get("DLLM"), self.get("DHLM")
+        has_limits = not low_limit == high_limit == 0
+        above, below = has_limits and target > high_limit, has_limits and target < low_limit
+        if self._sign < 0:
+            above, below = below, above
+        words, limit_severity = ("NO_ALARM", "MINOR", "MAJOR", "INVALID"), self.get("HLSV")
+        if (high or low or above or below) and limit_severity not in (words[0], 0):
+            severity = AlarmSeverity(words.index(limit_severity) if limit_severity in words else int(limit_severity))
+            status = AlarmStatus.HIGH if high or above else AlarmStatus.LOW
+        elif has_problem:
+            severity, status = AlarmSeverity.MAJOR_ALARM, AlarmStatus.STATE
         for field in ("VAL", "RBV"):
             alarm = self._fields[field].alarm
             if (alarm.severity, alarm.status) != (severity, status):
@@ -238,19 +259,18 @@ class MotorRecord(PVGroup):
         """Publish a message for people."""
         if self._written.get("message") != text:
             self._written["message"] = text
-            await self.message.write(text[: MESSAGE_LENGTH - 1], verify_value=False)
+            await write_message(self.message, text)
 
-    async def _refuse_request(self, text: str) -> None:
-        """Publish why a request is refused, with alarm severity INVALID, until the next request that is accepted."""
-        await self._say(f"{self._name}: {text}")
-        self._axis.trouble = text
+    async def refuse_request(self, text: str) -> None:
+        """Publish why a request is refused, with an alarm, until the next request that is accepted."""
+        self._refusal = text
         await self.publish(self._axis.read())
 
-    async def _accept_request(self) -> None:
+    async def accept_request(self) -> None:
         """Clear the message of an earlier refusal."""
-        self._axis.trouble = ""
-        self._reading = self._axis.read()  # an older reading, which may have the trouble, is not published any more
-        await self._say("")
+        if self._refusal:
+            self._refusal = ""
+            await self.publish(self._axis.read())
 
     async def _follow(self) -> None:
         """Make the target the present position: VAL, DVAL and RVAL follow RBV."""
@@ -268,27 +288,47 @@ class MotorRecord(PVGroup):
         """Perform a motion, which replaces the one under way; return when the record is done."""
         self._number += 1
         number = self._number
+        self._replaced.set()
+        self._replaced = asyncio.Event()
         self._idle.clear()
-        await self._accept_request()
-        await self.force("DMOV", 0)
+        self._refusal = self._remark = self._axis.trouble = ""
+        self._reading = self._axis.read()  # an older reading, which may have a trouble, is not published any more
+        await self._say("")
+        await self.set("DMOV", 0)
         follows = True
         try:
             follows = await motion(number)
         except StageError as error:
-            await self._refuse_request(str(error))
+            await self.refuse_request(str(error))
         if number != self._number:
             await self._idle.wait()
             return
+        await self._finish(follows)
+
+    async def _finish(self, follows: bool) -> None:
+        """Publish the last position, then DMOV; `follows` says whether the target becomes that position."""
         self._reading = self._axis.read()
         if follows:
             await self._follow()
         self._idle.set()
         self._written.pop("RBV", None)
         await self.publish(self._reading)
-        await self.force("DMOV", 1)
+        await self.set("DMOV", 1)
         if self._get_mode() == MOVE:
             await self.force("SPMG", "Pause")
         await asyncio.sleep(REPLY_DELAY_S)
+
+    async def _hold(self, at_rest: asyncio.Event, number: int) -> bool:
+        """Bring the axis to rest, and keep DMOV 0 until another motion replaces this one: SPMG is Stop or Pause."""
+        replaced = self._replaced
+        try:
+            await self._halt_if_moving()
+        finally:
+            at_rest.set()
+        self._is_paused = number == self._number
+        await replaced.wait()
+        self._is_paused = False
+        return False
 
     async def _act(self, begin: Callable[[ControlledAxis], Any]) -> Reading:
         """Begin an action of the axis, wait for its end, and publish the reading."""
@@ -313,62 +353,99 @@ class MotorRecord(PVGroup):
         """Move to DVAL, with backlash takeout and retries; return whether the target follows the position."""
         await self._halt_if_moving()
         target = self.get("DVAL")
-        for attempt in range(max(int(self.get("RTRY")), 0) + 1):
-            await self.set("RCNT", attempt)
-            for dial, profile in self._plan_stages(target):
+        await self.set("RCNT", 0)
+        if abs(target - self._get_dial_reading()) < self.get("SPDB"):
+            return False
+        while True:
+            for position, is_takeout in self._plan_move(target).list_stages():
                 if number != self._number:
                     return False
-                reading = await self._act(partial(_begin_move, dial, profile))
+                reading = await self._act(
+                    partial(_begin_move, position + self._get_correction(), self._get_move_profile(is_takeout))
+                )
                 if reading.reason in EARLY_REASONS:
                     return number == self._number
-            miss = abs(target - self._get_dial_reading())
-            if number != self._number or miss <= max(self.get("RDBD"), self._axis.step):
-                break
-            target_pulses = self._reading.dial + self.get("DVAL") - self._get_dial_reading()
-            target = target_pulses if attempt < self.get("RTRY") else target
-        await self.set(
-            "MISS", int(abs(self.get("DVAL") - self._get_dial_reading()) > max(self.get("RDBD"), self._axis.step))
-        )
+            if number != self._number or not await self._needs_retry(target):
+                return False
+
+    async def _needs_retry(self, target: float) -> bool:
+        """Count a move that has missed its target by RDBD or more, up to RTRY times; MISS says that it still has missed then."""
+        deadband, limit = self.get("RDBD"), self.get("RTRY")
+        miss = abs(target - self._get_dial_reading())
+        if miss < deadband - ROUNDING_ERROR:
+            await self.set("MISS", 0)
+        elif limit > 0:
+            await self.set("RCNT", self.get("RCNT") + 1)
+            if self.get("RCNT") <= limit:
+                return round(miss / self._axis.step) >= round(deadband / self._axis.step)
+            await self.set("MISS", 1)
         return False
 
-    def _plan_stages(self, target: float) -> list[tuple[float, Profile]]:
-        """Return the dial positions and profiles of a move: with backlash (BDST), the last part comes from a constant side."""
-        backlash, slew = self.get("BDST"), self._get_profile("VELO")
-        if abs(backlash) < max(self.get("SPDB"), self._axis.step):
-            return [(target, slew)]
-        takeout, slow = target - backlash, self._get_profile("BVEL", "BACC")
-        position = self._reading.dial
-        is_within = min(takeout, target) <= position <= max(takeout, target)
-        return [(target, slow)] if is_within else [(takeout, slew), (target, slow)]
+    def _moves_by_encoder(self) -> bool:
+        """Return whether moves are relative to the encoder's position: it is in use, and retries are allowed."""
+        return self._uses_encoder() and self.get("RTRY") > 0
+
+    def _get_correction(self) -> float:
+        """Return what is added to a target because pulses and encoder differ, dial units."""
+        return self._reading.dial - self._get_dial_reading() if self._moves_by_encoder() else 0.0
+
+    def _get_move_profile(self, is_takeout: bool) -> Profile:
+        """Return the profile of a move, or of the takeout of its backlash."""
+        return self._get_profile("BVEL", "BACC") if is_takeout else self._get_profile("VELO")
+
+    def _plan_move(self, target: float) -> PlannedMove:
+        """Plan a move to a dial position from the present one."""
+        present = self._get_dial_reading() if self._moves_by_encoder() else self._reading.dial
+        has_one_speed = self._get_move_profile(True) == self._get_move_profile(False)
+        return PlannedMove(target, present, self.get("BDST"), self._axis.step, has_one_speed)
 
     # --- puts that move ---
 
     async def _put_user_target(self, instance: Any, value: float) -> float:
         if not math.isfinite(value):
-            await self._refuse_request(f"VAL = {value}: a position is a finite number.")
+            await self.refuse_request(f"VAL = {value}: a position is a finite number.")
             raise SkipWrite
-        if self.get("SET") in ("Set", 1):
-            await self._redefine_position(value)
-            raise SkipWrite
-        dial = self._to_dial(value)
-        if not self._is_within_limits(dial):
-            await self.set("LVIO", 1)
-            await self._say(
-                f"{self._name}: {value:g} is beyond the soft limits {self.get('LLM'):g} to {self.get('HLM'):g}."
-            )
-            raise SkipWrite
-        await self.set("LVIO", 0)
-        await self._set_target(dial)
-        if self._get_mode() in (MOVE, GO):
-            await self._perform(self._move)
+        await self._put_target(self._to_dial(value), partial(self._redefine_user_position, value))
         raise SkipWrite
 
     async def _put_dial_target(self, instance: Any, value: float) -> float:
-        if self.get("SET") in ("Set", 1):
-            await self._set_dial_position(value)
-        else:
-            await self.motor.write(self._to_user(value))
+        if not math.isfinite(value):
+            await self.refuse_request(f"{value}: a position is a finite number.")
+            raise SkipWrite
+        await self._put_target(value, partial(self._redefine_dial_position, value))
         raise SkipWrite
+
+    async def _put_target(self, dial: float, redefine: Motion) -> None:
+        """Move to a dial position or, in SET mode, redefine the present position."""
+        if self.get("SET") in ("Set", 1):
+            if self._idle.is_set():
+                await self._perform(redefine)
+            else:
+                await self.refuse_request("a position can be set at rest only.")
+            return
+        is_allowed = self._plan_move(dial).is_allowed(self.get("DLLM"), self.get("DHLM"))
+        await self.set("LVIO", int(not is_allowed))
+        if not is_allowed:
+            await self._refuse_target(dial)
+        else:
+            await self._set_target(dial)
+            await self._perform(self._move if self._may_move() else partial(self._hold, asyncio.Event()))
+
+    async def _refuse_target(self, dial: float) -> None:
+        """Publish that soft limits do not allow a target, which stays what it was; DMOV shows 0 and 1 as for any target."""
+        if self._idle.is_set():
+            await self.force("DMOV", 0)
+        await self.force("VAL", self.get("VAL"))
+        limits = f"the soft limits {self.get('LLM'):g} to {self.get('HLM'):g}"
+        self._remark = f"{self._name}: {self._to_user(dial):g}, or the takeout of its backlash, is beyond {limits}."
+        await self._say(self._remark)
+        if self._idle.is_set():
+            await self.force("DMOV", 1)
+            await asyncio.sleep(REPLY_DELAY_S)
+
+    def _may_move(self) -> bool:
+        """Return whether SPMG allows motion."""
+        return self._get_mode() in (MOVE, GO)
 
     async def _put_raw_target(self, instance: Any, value: int) -> float:
         return await self._put_dial_target(instance, value * self._axis.step)
@@ -391,7 +468,7 @@ class MotorRecord(PVGroup):
         """Return the function for puts to HOMF or HOMR, which mean directions of the dial."""
 
         async def put(instance: Any, value: int) -> int:
-            if value and self._get_mode() == GO:
+            if value and self._may_move():
                 await instance.write(1, verify_value=False)
                 await self._perform(lambda number: self._home(number, direction))
             return 0
@@ -410,29 +487,51 @@ class MotorRecord(PVGroup):
         """Return the function for puts to JOGF or JOGR, which mean directions of the user."""
 
         async def put(instance: Any, value: int) -> int:
-            if value and self._get_mode() == GO:
-                await instance.write(1, verify_value=False)
-                await self._perform(lambda number: self._jog(number, direction * self._sign))
-            elif not value and not self._idle.is_set():
-                await self._put_stop(instance, 1)
+            end = self._get_jog_end(direction * self._sign)
+            has_room = end is None or direction * self._sign * (end - self._get_dial_reading()) > 0
+            if value and self._may_move():
+                await self.set("LVIO", int(not has_room))
+                if has_room:
+                    await instance.write(1, verify_value=False)
+                    await self._perform(lambda number: self._jog(number, direction * self._sign, end))
+            elif not value and instance.value and not self._idle.is_set():
+                await self._perform(self._end_jog)
             return 0
 
         return put
 
-    async def _jog(self, number: int, direction: int) -> bool:
-        """Move until a stop; with soft limits, up to the limit."""
+    def _get_jog_end(self, direction: int) -> float | None:
+        """Return the dial position at which a jog ends, JOG_MARGIN_S before the soft limit; None without soft limits."""
+        low, high = self.get("DLLM"), self.get("DHLM")
+        if low == high == 0:
+            return None
+        return (high if direction > 0 else low) - direction * JOG_MARGIN_S * self.get("JVEL")
+
+    async def _jog(self, number: int, direction: int, end: float | None) -> bool:
+        """Move until a stop, or to the dial position `end`."""
         await self._halt_if_moving()
         if number != self._number:
             return False
         profile = Profile(self.get("JVEL"), self.get("VBAS"), max(self.get("JVEL") / self.get("JAR"), 1e-3))
-        low, high = self.get("DLLM"), self.get("DHLM")
-        end = high if direction > 0 else low
-        if low == high:
+        if end is None:
             await self._act(lambda axis: axis.begin_jog(direction, profile))
-        elif direction * (end - self._reading.dial) > 0:
-            await self._act(lambda axis: axis.begin_move(end, profile))
-        if number == self._number and low != high:
-            await self.set("LVIO", 1)
+        else:
+            await self._act(partial(_begin_move, end + self._get_correction(), profile))
+            if number == self._number:
+                await self.set("LVIO", 1)
+        return True
+
+    async def _end_jog(self, number: int) -> bool:
+        """Stop a jog; with backlash, go to the position of the stop with a takeout."""
+        await self._halt()
+        if number == self._number and abs(self.get("BDST")) >= self._axis.step:
+            await self._follow()
+            target = self.get("DVAL")
+            for position, is_takeout in ((target - self.get("BDST"), False), (target, True)):
+                if number == self._number:
+                    await self._act(
+                        partial(_begin_move, position + self._get_correction(), self._get_move_profile(is_takeout))
+                    )
         return True
 
     async def _put_stop(self, instance: Any, value: Any) -> int:
@@ -445,16 +544,29 @@ class MotorRecord(PVGroup):
         return True
 
     async def _put_mode(self, instance: Any, value: Any) -> Any:
-        mode = SPMG_WORDS.index(value) if value in SPMG_WORDS else int(value)
         await instance.write(value, verify_value=False)
+        mode = self._get_mode()
         if mode in (STOP, PAUSE) and not self._idle.is_set():
-            target = self.get("DVAL")
-            await self._perform(self._stop)
-            if mode == PAUSE:
-                await self._set_target(target)
-        elif mode in (MOVE, GO) and abs(self.get("DVAL") - self._get_dial_reading()) > self._axis.step:
+            if mode == PAUSE and self.get("RTRY") > 0:
+                await self._pause()
+            else:
+                await self._perform(self._stop if mode == STOP else self._stop_without_follow)
+        elif mode in (MOVE, GO) and self._is_paused:
             await self._perform(self._move)
         raise SkipWrite
+
+    async def _pause(self) -> None:
+        """Stop the motion under way, and hold it until Go. The put to SPMG is complete when the axis is at rest."""
+        at_rest = asyncio.Event()
+        task = asyncio.ensure_future(self._perform(partial(self._hold, at_rest)))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        await at_rest.wait()
+
+    async def _stop_without_follow(self, number: int) -> bool:
+        """Bring the axis to rest; the target stays."""
+        await self._halt()
+        return False
 
     async def _put_sync(self, instance: Any, value: int) -> int:
         if value and self._idle.is_set():
@@ -463,26 +575,26 @@ class MotorRecord(PVGroup):
 
     # --- puts that define coordinates and limits ---
 
-    def _is_within_limits(self, dial: float) -> bool:
-        """Return whether the soft limits allow a position; equal limits allow every position."""
-        low, high = self.get("DLLM"), self.get("DHLM")
-        return low == high or low <= dial <= high
-
     async def _set_limits(self, low: float, high: float) -> None:
         """Publish the soft limits in dial and user coordinates, and as control limits of VAL."""
-        user = sorted((self._to_user(low), self._to_user(high)))
+        user = (self._to_user(low), self._to_user(high))[:: self._sign]
         for field, value in (("DLLM", low), ("DHLM", high), ("LLM", user[0]), ("HLM", user[1])):
             await self.force(field, value)
         for field in ("VAL", "RBV"):
             await self._fields[field].write_metadata(
                 lower_ctrl_limit=user[0], upper_ctrl_limit=user[1], lower_disp_limit=user[0], upper_disp_limit=user[1]
             )
-        await self.set("LVIO", int(not self._is_within_limits(self.get("DVAL"))))
+        target = self.get("DVAL")
+        await self.set("LVIO", int(not (low == high == 0 or low <= target <= high)))
+        await self.publish(self._reading)
 
     def _make_limit(self, coordinate: str, side: int) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to HLM, LLM, DHLM or DLLM."""
 
         async def put(instance: Any, value: float) -> float:
+            if not math.isfinite(value):
+                await self.refuse_request(f"{value}: a soft limit is a finite number.")
+                raise SkipWrite
             dial = self._to_dial(value) if coordinate == "user" else value
             is_high = side * (self._sign if coordinate == "user" else 1) > 0
             low, high = self.get("DLLM"), self.get("DHLM")
@@ -492,72 +604,111 @@ class MotorRecord(PVGroup):
         return put
 
     async def _put_offset(self, instance: Any, value: float) -> float:
+        if not math.isfinite(value):
+            await self.refuse_request(f"OFF = {value}: an offset is a finite number.")
+            raise SkipWrite
         await self._set_offset(value)
         raise SkipWrite
 
     async def _set_offset(self, value: float) -> None:
         """Publish an offset, and all user coordinates with it. Nothing moves."""
         await self.force("OFF", round(value, ROUNDING_DIGITS))
-        await self._set_limits(self.get("DLLM"), self.get("DHLM"))
         await self.force("VAL", self._to_user(self.get("DVAL")))
-        await self.publish(self._reading)
+        await self._set_limits(self.get("DLLM"), self.get("DHLM"))
 
     async def _put_direction(self, instance: Any, value: Any) -> Any:
+        """Change the direction of the user: VAL stays if the offset is variable, else the offset stays."""
+        user = self.get("VAL")
         await instance.write(value, verify_value=False)
-        await self._set_offset(self.get("OFF"))
+        await self._set_offset(self.get("OFF") if self._has_frozen_offset() else user - self._sign * self.get("DVAL"))
         raise SkipWrite
 
-    async def _redefine_position(self, user: float) -> None:
-        """Make the present position `user` in SET mode: by the offset, or by the controller's counter if FOFF is Frozen."""
-        if self.get("FOFF") in ("Frozen", 1):
-            await self._set_dial_position(self._to_dial(user))
-        else:
-            await self._follow()
-            await self._set_offset(user - self._sign * self._get_dial_reading())
+    def _has_frozen_offset(self) -> bool:
+        return self.get("FOFF") in ("Frozen", 1)
 
-    async def _set_dial_position(self, dial: float) -> None:
-        """Make the present position a dial position, by the controller's counter."""
-        if not (math.isfinite(dial) and self._idle.is_set()):
-            await self._refuse_request("a position can be set at rest, to a finite number.")
-            return
-        try:
-            await asyncio.wrap_future(self._controller.call(lambda stage: self._axis.set_dial(dial)))
-        except StageError as error:
-            await self._refuse_request(str(error))
+    async def _redefine_user_position(self, user: float, number: int) -> bool:
+        """Make the present position `user`: by the offset, or by the controller's counter if the offset is frozen."""
+        if self._has_frozen_offset():
+            return await self._redefine_dial_position(self._to_dial(user), number)
+        await self._set_offset(user - self._sign * self.get("DVAL"))
+        return False
+
+    async def _redefine_dial_position(self, dial: float, number: int) -> bool:
+        """Make the present position a dial position, by the controller's counter; VAL stays if the offset is variable."""
+        await asyncio.wrap_future(self._controller.call(lambda stage: self._axis.set_dial(dial)))
         self._reading = self._axis.read()
+        user = self.get("VAL")
         await self._follow()
-        await self.publish(self._reading)
+        if not self._has_frozen_offset():
+            await self._set_offset(user - self._sign * self.get("DVAL"))
+        return False
 
     def _make_choice(self, field: str, word: str) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to a field that chooses a word of another field."""
 
         async def put(instance: Any, value: int) -> int:
             await self.force(field, word)
-            return 0
+            return value
 
         return put
 
     # --- other puts ---
 
-    async def _put_speed(self, instance: Any, value: float) -> float:
-        """Clip a speed to VMAX in silence, as the real record does; refuse what is no speed."""
-        if not (math.isfinite(value) and value >= 0):
-            await self._refuse_request(f"a speed of {value}: a finite number, 0 or more.")
+    def _make_speed(self, field: str, in_revolutions: bool = False) -> Callable[..., Awaitable[Any]]:
+        """Return the function for puts to a speed, or to the same speed in revolutions a second."""
+
+        async def put(instance: Any, value: float) -> float:
+            speed, top = value * (self.get("UREV") if in_revolutions else 1.0), self._axis.top_speed
+            if field in CLIPPED_SPEEDS and self.get("VMAX"):
+                speed = min(speed, self.get("VMAX"))
+            if not speed <= top * (1 + ROUNDING_ERROR):
+                await self.refuse_request(f"{field} = {speed:g}: the axis reaches at most {top:g} {self._axis.unit}/s.")
+            else:
+                await self.accept_request()
+                await self._set_speed(field, max(speed, 0.0))
             raise SkipWrite
-        top = self.get("VMAX")
-        value = min(value, top) if top else value
-        if instance is self._fields["VELO"]:
-            await self.force("S", value / self.get("UREV"))
+
+        return put
+
+    async def _set_speed(self, field: str, speed: float) -> None:
+        """Publish a speed, and others clipped by it in silence, as the real record does."""
+        await self.force(field, speed)
+        base, top = self.get("VBAS"), self.get("VMAX")
+        if field == "VBAS" and 0 < top < base:
+            await self.force("VMAX", top := base)
+        elif field == "VMAX" and 0 < top < base:
+            await self.force("VBAS", base := top)
+        for other in CLIPPED_SPEEDS:
+            await self.set(other, min(max(self.get(other), base), top or math.inf))
+        await self._publish_revolutions()
+
+    async def _publish_revolutions(self) -> None:
+        """Publish the speeds in revolutions a second."""
+        for field, rps in SPEED_PAIRS.items():
+            await self.set(rps, self.get(field) / self.get("UREV"))
+
+    async def _put_ramp(self, instance: Any, value: float) -> float:
+        """Replace a ramp of 0 or less, as the real record does; refuse what is no number."""
+        if not math.isfinite(value):
+            await self.refuse_request(f"{value}: a time or acceleration is a finite number.")
+            raise SkipWrite
+        await self.accept_request()
+        if value > 0:
+            return value
+        return self.get("JVEL") / REPLACED_ACCEL_S if instance is self._fields["JAR"] else REPLACED_ACCEL_S
+
+    async def _put_number(self, instance: Any, value: float) -> float:
+        if not math.isfinite(value):
+            await self.refuse_request(f"{value}: a distance or time is a finite number.")
+            raise SkipWrite
+        await self.accept_request()
         return value
 
-    async def _put_positive(self, instance: Any, value: float) -> float:
-        if not (math.isfinite(value) and value > 0):
-            await self._refuse_request(f"{value}: a finite number greater than 0.")
-            raise SkipWrite
-        return value
+    async def _put_retry_deadband(self, instance: Any, value: float) -> float:
+        return max(await self._put_number(instance, value), self._axis.step)  # an axis cannot come nearer than a step
 
     async def _refuse(self, instance: Any, value: Any) -> Any:
-        await self._refuse_request(
+        await self.refuse_request(
             "the resolution of an axis follows from its motor and its model: MRES, ERES, UREV, SREV stay."
         )
         raise SkipWrite
@@ -572,8 +723,9 @@ class MotorRecord(PVGroup):
         try:
             await asyncio.wrap_future(self._controller.call(lambda stage: self._axis.set_enabled(enabled)))
         except StageError as error:
-            await self._refuse_request(str(error))
+            await self.refuse_request(str(error))
             raise SkipWrite from None
+        await self.publish(self._axis.read())
         return value
 
 

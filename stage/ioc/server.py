@@ -40,9 +40,15 @@ class Ioc:
         self._controller = MotionController(stage, pace, self._publish_from_worker, period)
         axes = self._controller.axes
         self._axis_pvs = {
-            name: AxisPVs(prefix + name, controller=self._controller, axis=axis) for name, axis in axes.items()
+            name: AxisPVs(
+                prefix + name,
+                controller=self._controller,
+                axis=axis,
+                refuse_request=lambda text, name=name: self._records[name].refuse_request(text),  # type: ignore[misc]
+            )
+            for name, axis in axes.items()
         }
-        self._records = {
+        self._records: dict[str, MotorRecord] = {
             name: MotorRecord(
                 prefix + name, controller=self._controller, axis=axis, publish_machine=self._axis_pvs[name].publish
             )

@@ -8,39 +8,12 @@ import sys
 import time
 
 import pytest
+from support.motor_record_client import Record, epics
 
 pytestmark = pytest.mark.ioc(model="xyz", chips="pcl240mk", pace="free")
-epics = pytest.importorskip("epics")
-
 RESOLUTION_MM = 10 / 3200
+STATE, MAJOR = 7, 2
 PLUS_LIMIT, MINUS_LIMIT, DONE, HOMED, PROBLEM = 0x4, 0x2000, 0x2, 0x4000, 0x200
-
-
-class Record:
-    """Fields of a motor record by pyepics: record["VELO"], record.put("VAL", 5)."""
-
-    def __init__(self, name):
-        self.name = name
-
-    def __getitem__(self, field):
-        name = field if field.startswith(":") else f".{field}"
-        return epics.caget(
-            self.name + name,
-            use_monitor=False,
-            timeout=20,
-            connection_timeout=20,
-            as_string=field in (":Message", ":Fault", ":Switches"),
-        )
-
-    def put(self, field, value, wait=True):
-        name = field if field.startswith(":") else f".{field}"
-        assert epics.caput(self.name + name, value, wait=wait, timeout=40, connection_timeout=20) == 1, (field, value)
-
-    def wait(self, field, value, seconds=10):
-        end = time.monotonic() + seconds
-        while self[field] != value:
-            assert time.monotonic() < end, (field, value, self[field])
-            time.sleep(0.02)
 
 
 @pytest.fixture
@@ -48,8 +21,8 @@ def x(ioc):
     """Record of x at 0, as after a start of the IOC."""
     record = Record("STAGE:x")
     fields = {
-        ":Fault": 0, "SPMG": 3, "SET": 0, "FOFF": 0, "DIR": 0, "OFF": 0, "DLLM": -144, "DHLM": 144, "BDST": 0, "RTRY": 0, "UEIP": 0,
-        "VELO": 40, "VBAS": 0,
+        ":Fault": 0, "SPMG": 3, "SET": 0, "FOFF": 0, "DIR": 0, "OFF": 0, "DLLM": -144, "DHLM": 144, "BDST": 0, "UEIP": 0,
+        "VBAS": 0, "VELO": 40, "RTRY": 10, "JVEL": 40, "STOP": 1,
     }  # fmt: skip
     for field, value in fields.items():
         record.put(field, value)
@@ -71,8 +44,8 @@ def test_user_coordinates_follow_direction_and_offset_and_nothing_moves(x):
     x.put("OFF", 1)
     assert (x["VAL"], x["RBV"], x["DRBV"], x["HLM"], x["DHLM"]) == (5, 5, 4, 145, 144)
     x.put("DIR", 1)
-    assert (x["VAL"], x["RBV"], x["DRBV"], x["HLM"], x["LLM"]) == (-3, -3, 4, 145, -143)
-    x.put("VAL", -2)
+    assert (x["VAL"], x["RBV"], x["DRBV"], x["HLM"], x["LLM"]) == (5, 5, 4, 153, -135)
+    x.put("VAL", 6)
     assert x["DRBV"] == pytest.approx(3, abs=RESOLUTION_MM)
 
 
@@ -116,7 +89,7 @@ def test_pause_keeps_the_target_and_go_completes_it(x):
     time.sleep(0.2)
     x.put("SPMG", 1)
     assert x["RBV"] < 20
-    assert x["VAL"] == 20
+    assert (x["VAL"], x["DMOV"], x["MOVN"]) == (20, 0, 0)
     x.put("VELO", 40)
     x.put("SPMG", 3)
     assert x["RBV"] == pytest.approx(20, abs=RESOLUTION_MM)
@@ -148,14 +121,6 @@ def test_a_jog_without_soft_limits_ends_at_the_limit_switch(x):
     assert epics.PV("STAGE:x.RBV", form="time").get_timevars()["severity"] == 2
 
 
-def test_a_jog_with_soft_limits_ends_at_them(x):
-    x.put("HLM", 6)
-    x.put("JVEL", 40)
-    x.put("JOGF", 1)
-    assert x["RBV"] == pytest.approx(6, abs=RESOLUTION_MM)
-    assert x["LVIO"] == 1
-
-
 def test_backlash_takeout_comes_from_the_same_side(x):
     x.put("BDST", 0.5)
     lowest, pv = [], epics.PV("STAGE:x.RBV")
@@ -184,19 +149,53 @@ def test_lost_steps_show_by_the_encoder_and_homing_repairs_them(x):
     assert x[":TruePosition"] == pytest.approx(0, abs=0.05)
 
 
-def test_what_is_no_position_or_speed_is_refused_with_a_message(x):
-    x.put("VAL", math.nan)
-    assert "finite" in x[":Message"]
-    assert epics.PV("STAGE:x", form="time").get_timevars()["severity"] == 3
+@pytest.mark.parametrize(
+    ("field", "value", "text"),
+    [
+        ("VAL", math.nan, "finite number"),
+        ("DVAL", math.inf, "finite number"),
+        ("VELO", math.nan, "the axis reaches at most"),
+        ("VMAX", 1e6, "the axis reaches at most"),
+        ("ACCL", math.nan, "finite number"),
+        ("HLM", math.nan, "finite number"),
+        ("OFF", math.nan, "finite number"),
+        ("TWV", math.nan, "finite number"),
+        ("BDST", math.inf, "finite number"),
+        ("RLV", math.nan, "finite number"),
+        ("MRES", 0.1, "follows from its motor"),
+    ],
+)
+def test_a_refused_put_is_an_alarm_with_a_message_and_changes_nothing(x, field, value, text):
+    before = x[field]
+    x.put(field, value)
+    assert text in x[":Message"]
+    assert x.read_alarm() == (STATE, MAJOR)
     assert x["MSTA"] & PROBLEM
-    x.put("VELO", -1)
-    assert x["VELO"] == 40
-    x.put("VELO", 1e6)
-    assert x["VELO"] == x["VMAX"], "clipped in silence, as by the real record"
-    x.put("VELO", 40)
-    x.put("VAL", 1)
-    assert x[":Message"] == ""
+    assert x[field] == before
+    x.put("VELO", 39)
+    assert (x[":Message"], x.read_alarm()) == ("", (0, 0))
     assert not x["MSTA"] & PROBLEM
+
+
+def test_a_speed_beyond_a_motor_without_vmax_is_refused(x):
+    top = x["VMAX"]
+    x.put("VMAX", 0)
+    x.put("VELO", 1e6)
+    assert (x["VELO"], x["VMAX"]) == (40, 0)
+    assert "the axis reaches at most" in x[":Message"]
+    x.put("VMAX", top)
+
+
+@pytest.mark.parametrize("mass", [math.nan, -1])
+def test_a_refused_payload_is_an_alarm_with_a_message(x, mass):
+    stage = Record("STAGE:Payload")
+    stage.put("VAL", 0.5)
+    stage.put("VAL", mass)
+    assert stage["VAL"] == 0.5
+    assert stage["SEVR"] == MAJOR
+    assert "ayload" in Record("STAGE")[":Message"]
+    stage.put("VAL", 0)
+    assert (stage["SEVR"], Record("STAGE")[":Message"]) == (0, "")
 
 
 def test_a_killed_client_changes_nothing(x):
