@@ -34,7 +34,7 @@ last one); usual (time of the formula, s); start (potential at the beginning); l
 
 
 class BusHost(MachineTask[Any]):
-    """Task with macros as actions, seen from the host: its memory, its observations and its scripted policy.
+    """Base of tasks whose actions are macros: the memory of the host, its observations and its scripted policy.
 
     Attributes:
         axes: Axes of the first stage, m of them.

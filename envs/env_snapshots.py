@@ -34,7 +34,7 @@ class EnvSnapshot(snapshots.Snapshot):
 
 
 def make_header(task: Task) -> snapshots.SnapshotHeader:
-    """Return the description of a task's environment, which its snapshots carry, and make it at the first call."""
+    """Return the description of a task's environment that its snapshots carry; the first call makes the description."""
     if task.header is None:
         task.header = _describe_task(task)
     return task.header

@@ -28,7 +28,7 @@ KINDS = ("rates", "distance", *OTHERS, "select")
 
 
 class MacroTable:
-    """Programs of all macros on each of some axes.
+    """Table of the programs of all macros, for each of several axes.
 
     Args:
         axes: Axes of a stage, m of them.

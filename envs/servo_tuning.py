@@ -141,7 +141,7 @@ class ServoTuning(TuningTask[Config]):
         self.goal[stage_index] = chip.encoder + self.distance[stage_index]
 
     def make_program(self, row: np.ndarray, distance: int) -> Program:
-        """Make the host's bus cycles for one move, followed by samples of the carriage's position every LOOK seconds."""
+        """Make the host's bus cycles for one move, followed by samples of the carriage's position every SAMPLE_INTERVAL_S."""
         c, p = self.config, Program()
         rates = (c.velocity, c.acceleration) if c.motion == "trapezoid" else None
         self.driver.write_servo_move(p, self.registers.to_dict(row), distance, rates)

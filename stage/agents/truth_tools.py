@@ -13,7 +13,7 @@ from stage.panel.fault_controls import IMPLICIT_PARAMETERS, UNITS, list_fault_fu
 from stage.sim import faults
 
 TYPES = {"bool": Flag, "float": number(), "int": integer(), "str": Text}
-"""Of a parameter of a fault, by its annotation."""
+"""Type of the tool argument for a parameter of a fault, by the annotation of the parameter."""
 
 
 class TruthTools:

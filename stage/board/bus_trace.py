@@ -64,7 +64,7 @@ class Cycle(NamedTuple):
 
 
 Meaning = Callable[[int, int, bool, bool], str]
-"""(port, value, whether it is written, whether with 16 bits) -> what it means."""
+"""Function (port, value, whether the cycle is a write, whether it has 16 bits) that returns the meaning of a bus cycle in words."""
 
 
 def format_interrupt(kind: int, source: int, value: int) -> str:

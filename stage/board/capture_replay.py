@@ -66,7 +66,7 @@ class SwitchComparison(NamedTuple):
 
 @dataclass(frozen=True)
 class AxisReplay:
-    """Report of one axis.
+    """Report of the replay of a capture on one axis.
 
     Attributes:
         axis: Name of the axis.
@@ -147,7 +147,7 @@ def _describe_times(times: Sequence[float]) -> str:
 
 @dataclass(frozen=True)
 class ReplayReport:
-    """Report of a capture that was played into a stage.
+    """Report of the replay of a capture on all axes of a stage.
 
     Attributes:
         path: The file.

@@ -58,7 +58,7 @@ class Crash(NamedTuple):
 
 
 class _Symbol(ctypes.Structure):
-    """Dl_info."""
+    """Structure Dl_info of the C library, which dladdr fills."""
 
     _fields_ = (
         ("file", ctypes.c_char_p), ("base", ctypes.c_void_p), ("name", ctypes.c_char_p), ("begin", ctypes.c_void_p),

@@ -6,11 +6,11 @@ from stage.errors import RunTimeout, StageError
 
 
 class LibraryError(StageError):
-    """Error: a file cannot be loaded as a firmware library."""
+    """Error of a file that cannot be loaded as a firmware library."""
 
 
 class CompileError(StageError):
-    """Error: a compiler could not build the firmware.
+    """Error of firmware that a compiler could not build.
 
     Attributes:
         output: Messages of the compiler.
@@ -26,16 +26,16 @@ class CompilerWarning(UserWarning):
 
 
 class NoCompilerError(StageError):
-    """Error: the system has no C or C++ compiler."""
+    """Error of a build on a system without a C or C++ compiler."""
 
 
 class StormError(StageError):
-    """Error: an interrupt hook does not clear the interrupt that calls it, so it would be called forever."""
+    """Error of an interrupt hook that does not clear the interrupt which calls it, so that it would be called forever."""
 
 
 class HostError(StageError):
-    """Error: firmware cannot continue."""
+    """Error of firmware that cannot continue, for example after a crash."""
 
 
 class HostTimeout(RunTimeout):
-    """Error: firmware did not return within the allowed simulated time or number of bus cycles."""
+    """Error of firmware that did not return within the allowed simulated time or number of bus cycles."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 BUFFER_SIZE = 1 << 20
 """Bytes of the firmware that a SerialPort keeps for its reader."""
 POLL_NS = 1_000_000
-"""Simulated time between two looks at what the firmware has sent."""
+"""Simulated time between two polls for bytes that the firmware has sent."""
 EXCERPT_SIZE = 200
 """Bytes of the firmware that a message shows."""
 
@@ -129,7 +129,7 @@ class SerialLine:
 
 
 class UartLine:
-    """Serial line formed by a 16550 on the bus. Its buffers are those of the device.
+    """Serial line of a 16550 UART on the bus, with the buffers of that device.
 
     Args:
         uart: The device.

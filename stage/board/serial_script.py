@@ -184,7 +184,7 @@ class SerialScript(SerialEnd):
         return now if self._is_over else self._due
 
     def describe_rest(self) -> str:
-        """Describe what the script still waits for."""
+        """Describe in words the event for which the script still waits."""
         if self._command.name == "send":
             return f"the firmware has not received {ROOM - self._room:,} of its bytes"
         return f"line {self._command.line} waits"

@@ -18,7 +18,7 @@ from stage.board.serial_line import SerialEnd
 
 
 class ChipUart(Protocol):
-    """UART of a chip, from the wire's side."""
+    """Interface of a chip's UART for the wire to which it is connected."""
 
     baud: int
 
@@ -104,7 +104,7 @@ class UartWire(SerialEnd):
         return any(uart.pending or uart.is_replying for uart in self._uarts)
 
     def exchange(self, sent: bytes, now: int, room: int) -> bytes:
-        """Pass on what the host and the chips have sent, and return what the host hears."""
+        """Pass on the bytes that the host and the chips have sent, and return the bytes that the host receives."""
         received = self._pass_replies_on()
         self.has_understood = [
             bool(known or uart.datagrams) for known, uart in zip(self.has_understood, self._uarts, strict=True)
@@ -120,7 +120,7 @@ class UartWire(SerialEnd):
         return received + sent if self._echoes else received
 
     def _pass_replies_on(self) -> bytes:
-        """Let every chip hear what the others have sent, and return it."""
+        """Pass the bytes that each chip has sent to all other chips on the wire, and return these bytes."""
         if any(uart.is_replying and self._ends_soon(uart) for uart in self._uarts):
             return b""  # a byte of another chip overlaps with those that have ended
         replies = [uart.read() for uart in self._uarts]

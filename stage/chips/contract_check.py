@@ -31,7 +31,7 @@ ANSWERS_OF_CHIPS: dict[str, tuple[Any, ...]] = {
     "write_present_edge": (None, "i8", "EDGE", "i8"),
     "scan_edges": ("i8", "i8", "i8", "i8", "EDGE"),
 }
-"""As ANSWERS, for functions that `Chip` and journals call; PULSE and EDGE stand for arrays of them."""
+"""Functions of every core that `Chip` and journals call, in the form of ANSWERS; PULSE and EDGE stand for arrays of records."""
 ANSWERS_OF_ENCODER_CHIPS: dict[str, tuple[Any, ...]] = {
     "scan_edges_and_shafts": (
         "i8",
@@ -42,7 +42,7 @@ ANSWERS_OF_ENCODER_CHIPS: dict[str, tuple[Any, ...]] = {
         *(array_of(kind) for kind in ("i8", "i8", "f8", "f8", "i8")),
     ),
 }
-"""As ANSWERS_OF_CHIPS, for chips whose class has ENCODERS or SERVO."""
+"""Functions, as in ANSWERS_OF_CHIPS, of cores whose chip class has ENCODERS or SERVO."""
 REQUIRED_METHODS = {
     "register_cycles": "the bus write cycles that put a value into a register",
     "decoder": "what a journal's writes say, for recordings",

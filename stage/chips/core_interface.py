@@ -49,7 +49,7 @@ OPTIONAL: dict[str, tuple[str | None, ...]] = {
     "read_wire_word": ("i8",),
     "set_wire_word": (None, "i8"),
 }
-"""As ANSWERS, of chips that drive their motor themselves or that can be wired to others; other chips do not have them."""
+"""Functions, as in ANSWERS, of cores whose chips drive their motor themselves or can be wired to other chips."""
 
 CHIP_AXIS = record(
     [
@@ -58,7 +58,7 @@ CHIP_AXIS = record(
         ("net", "i8"),  # address of the count at the end of the last
     ]
 )
-"""An axis of a chip on a stage."""
+"""Record that says which axis of the stage an axis of a chip drives."""
 CHIP = record(
     [
         ("at", "i8"),  # address of its state
@@ -79,7 +79,7 @@ CHIP = record(
         ("rest", "i8"),  # what has passed of that clock, in shares of a PART
     ]
 )
-"""A chip for compiled code."""
+"""Record of a chip for compiled code: the addresses of its state and of its core's functions."""
 SLICE_END = record([("clocks", "i8"), ("rest", "i8")])
 """The end of a slice, from the window's begin: whole clocks, and the rest in shares of a PART."""
 SLICE_REST_UNIT = 1_000_000_000
@@ -88,7 +88,7 @@ WIRE_BIT = 16
 """A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
 SCAN_ROOM = 8
-"""So many edges are still free where a scan stops early."""
+"""Number of EDGE records that are still free when a scan stops early."""
 
 _TYPES = {types: declare_address_call(types[0], "i8", *types[1:]) for types in {*ANSWERS.values(), *OPTIONAL.values()}}
 _run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "set_shaft", "set_input", "run_window"))

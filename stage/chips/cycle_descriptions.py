@@ -18,9 +18,9 @@ from stage.chips.journal_entries import LOST, RESET, WRITE, Entry
 from stage.chips.register_map import Field, Register, Word
 
 MAX_LINE_LENGTH = 120
-"""Characters of a sentence."""
+"""Largest number of characters in a line that describes a bus cycle."""
 MAX_DECIMAL_BITS = 4
-"""Numbers of more bits are given in hexadecimal, too."""
+"""Largest number of bits of a number that is shown only in decimal; longer numbers are shown in hexadecimal as well."""
 MAX_CACHED_LINES = 4096
 
 

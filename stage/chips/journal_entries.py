@@ -37,7 +37,7 @@ class EntryKind(IntEnum):
 WRITE, INPUT, RESET, LOST, READ, SHAFT, LOAD, WIRES = map(int, EntryKind)  # for compiled code
 PACKED = np.dtype([("clock", "i8"), ("kind", "i4"), ("axis", "i4"), ("a", "i8"), ("b", "i8")])
 AXIS = 32
-"""Bit of a packed entry's second word from which on it is the axis."""
+"""Lowest bit of the axis in the second word of a packed entry."""
 
 
 def float_to_bits(number: float) -> int:

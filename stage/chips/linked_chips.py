@@ -15,7 +15,7 @@ from stage.chips.journal_entries import WIRES
 from stage.native import greatest, hot, least
 
 LEVEL_BITS = 3
-"""Number of bits that are levels; the lowest means that there are wires."""
+"""Number of bits of a word that are levels; the lowest level is 1 if the chips are wired."""
 NUMBER_SHIFT, PULSES_SHIFT = LEVEL_BITS, 33
 """Lowest bits of the number and of the count of pulses; both have 30 bits."""
 LINKED = 1

@@ -74,7 +74,7 @@ DC_MOTORS: dict[str, DCMotor] = {
         _make_pittman_motor("14204S004", 3.06e-2, 6.09e-2, 2.6e-5, 1.8e-1),
     )
 }
-"""Presets by name: Ametek Pittman."""
+"""Presets of DC motors by name, all of Ametek Pittman."""
 
 
 def find_dc_motor(name: str | DCMotor) -> DCMotor:

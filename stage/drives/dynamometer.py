@@ -34,7 +34,7 @@ Floats = Sequence[float] | np.ndarray
 
 
 class PullOut(NamedTuple):
-    """Pull-out curve.
+    """Pull-out curve: the largest torque at each speed with which a motor keeps step.
 
     Attributes:
         rpm: Speeds, (n,).
@@ -432,7 +432,7 @@ def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, frame_d
 
 
 class Resonance(NamedTuple):
-    """Results of `sweep_resonance`.
+    """Pull-out torque and speed ripple at a series of step rates, as `sweep_resonance` measures them.
 
     Attributes:
         rate: Full steps per second, shape (n,).

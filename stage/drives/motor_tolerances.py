@@ -27,7 +27,7 @@ from stage.drives.motors import (
 from stage.support import portable_math
 
 INDUCTANCE_TOLERANCE = 0.2
-"""Of an inductance from that of the data sheet; the data sheet of the 17HS19-2004S1 states it."""
+"""Tolerance of an inductance, as a share of the data sheet's value, which the data sheet of the 17HS19-2004S1 states."""
 FITTED_LOSS_RANGE = 0.65, 1.25
 """Core loss over the fitted one: fits to the 17HS19-2004S1's curve with inductances 20 % above and below the data sheet's."""
 

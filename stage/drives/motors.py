@@ -195,7 +195,7 @@ MOTORS: dict[str, Motor] = {
         ),
     )
 }  # fmt: skip
-"""Presets by name."""
+"""Presets of stepper motors by name."""
 
 
 class LikelyCoreLoss(NamedTuple):

@@ -207,7 +207,7 @@ class LinePrograms(ABC):
         ramp_down_lag: np.ndarray,
         down_point: np.ndarray,
     ) -> np.ndarray:
-        """Compute in closed form how far axes are from their shares of the longest one. All arrays are (stages, axes).
+        """Compute in closed form how far axes are from the straight line, given by the longest axis. All arrays are (stages, axes).
 
         Args:
             moves: Moves along the line.

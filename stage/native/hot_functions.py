@@ -236,9 +236,9 @@ enter_usual_float_mode: Callable[[], int] = numba_implementations.enter_usual_fl
 restore_previous_float_mode: Callable[[int], None] = (
     numba_implementations.restore_previous_float_mode if EMITTING else lambda mode: None
 )
-"""This thread computes in this mode again."""
+"""Restore a floating-point mode that `enter_usual_float_mode` has returned, for this thread."""
 get_frame_address: Callable[[], int] = numba_implementations.get_frame_address if EMITTING else lambda: 0
-"""About where on its stack the function that says this runs; uncompiled 0."""
+"""Return the approximate stack address of the calling function; 0 if it runs uncompiled."""
 stack_mark: Callable[[int, int], int] = numba_implementations.stack_mark if EMITTING else lambda words, value: 0
 """(words, value) -> the address of so many words, `value` and up, on the stack of the function that says this, for as long as it
 has not returned; uncompiled 0. `words` is written out."""

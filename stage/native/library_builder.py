@@ -32,7 +32,7 @@ from stage.native import library_manifest, object_file_cache
 from stage.support.subprocesses import ENCODING, ERRORS
 
 NUMBA = "0.68.1"
-"""The one version that libraries are made with: what it lowers to is part of what they do."""
+"""The only version of numba that builds libraries, because results depend on the code that numba generates."""
 
 
 DEPTH = 3

@@ -18,11 +18,11 @@ from stage.support.extras import format_install_command
 
 NAME = "_native.so"
 MARK = b"\0PULSESTAGE NATIVE LIBRARY "
-"""In a library, before its manifest as JSON, which a zero ends."""
+"""Bytes in a library that precede its manifest, which is JSON and ends with a zero byte."""
 FIELDS = {"digest", "target", "needs", "numba", "sources"}
-"""Of a manifest."""
+"""Names of the entries of a manifest."""
 NO_DIGEST = "0" * 64
-"""In a manifest, where the digest of the file will be; it stays where a file may not be changed after the link."""
+"""Placeholder in a manifest for the digest of the file; it stays if the file may not be changed after the link."""
 
 
 def explain_library_misfit(package: str, path: Path) -> str:

@@ -30,7 +30,7 @@ from stage.native.object_file_cache import write_object
 SYSTEM_FUNCTIONS = frozenset(
     "exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split()
 )
-"""What a library may ask of the system: C's mathematics and memory."""
+"""System functions that a library may use: mathematics and memory functions of C."""
 
 MODULES_AT_ONCE = 16
 """Modules that are linked before they go into the whole: LLVM looks through all that is there each time that something is added."""
@@ -39,7 +39,7 @@ REFERENCE_COUNTING = """
 define void @NRT_incref(i8* %p) alwaysinline { ret void }
 define void @NRT_decref(i8* %p) alwaysinline { ret void }
 """
-"""Every array here is borrowed: nobody counts who holds it."""
+"""numba's reference counting functions, which are removed: compiled code owns no array."""
 
 
 class _GatheredLibrary(codegen.AOTCodeLibrary):

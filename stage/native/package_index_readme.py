@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 PAGE = Path("build") / "README.index.md"
-"""Where pyproject.toml says that the page for the index is."""
+"""Path of the page for the package index, as pyproject.toml states it."""
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\((?![a-z]+:|#)([^)\s]+)\)")
 
 

@@ -297,4 +297,4 @@ def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 FORMATS: dict[str, Callable[[Sampler, Sequence[str], float, float], Any]] = {
     "csv": to_csv, "png": to_png, "vcd": to_vcd, "rrd": to_rrd,
 }  # fmt: skip
-"""By the ending of the file's name."""
+"""Export functions by the ending of the file's name."""

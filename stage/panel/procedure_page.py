@@ -73,7 +73,7 @@ class FormView:
 
 
 class ProcedureOutcome(NamedTuple):
-    """Outcome of a procedure, as the page shows it.
+    """Outcome of a procedure: the text, the error and the picture that the page shows.
 
     Attributes:
         text: The report, or the name of the procedure while it is under way.

@@ -18,7 +18,7 @@ MEASURING_TIME_S = 0.25  # real seconds over which the achieved speed is taken, 
 MAX_GROWTH = 2  # times the last slice: a short one tells little of how fast the machine is
 MIN_SPEED, MAX_SPEED = 0.001, 1000.0
 FREE = float("inf")
-"""The speed of a stage that waits for nobody."""
+"""Speed of a stage whose simulated time passes as fast as possible."""
 
 
 class RealTimeClock:
@@ -53,7 +53,7 @@ class RealTimeClock:
 
     @property
     def slice_s(self) -> float:
-        """Simulated seconds that may pass before the clock is asked again."""
+        """Simulated seconds that may pass before the caller has to ask the clock again."""
         return SLICE_S * (1.0 if self._speed == FREE else self._speed)
 
     def restart(self, now_ns: int) -> None:

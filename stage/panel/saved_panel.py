@@ -243,7 +243,7 @@ def _check_program_can_be_written(saved: SavedPanel) -> None:
 PROGRAM_FORMATS: dict[str, Callable[[Any, Any, int], str]] = {
     "program.py": to_python, "program.c": to_c, "test_program.py": to_pytest,
 }  # fmt: skip
-"""By the name of the file."""
+"""Functions that export the program, by the name of the file."""
 
 
 FORMAT = 1
@@ -261,7 +261,7 @@ LATEST = 1 << 62  # ns
 
 
 class SavedPanel(NamedTuple):
-    """Content of a file.
+    """Content of a panel file, which `save_panel` writes and `restore_panel` restores.
 
     Attributes:
         stage_options: Options of the stage, see STAGE_OPTIONS, or None.
@@ -291,7 +291,7 @@ def list_program_cycles(panel: Panel) -> list[ProgramCycle]:
 
 
 def capture_panel(panel: Panel) -> tuple[SavedPanel, int]:
-    """Return the content of a file for the panel as it is now, and the time, ns. Call this in the stage's thread."""
+    """Capture the panel as the content of a panel file, and return it with the time, ns. Call this in the stage's thread."""
     stage = panel.session.stage
     panel.observer.update_views(stage)
     kg, _ = stage.describe_machine()["payloads"]
@@ -344,7 +344,7 @@ def save_panel(panel: Panel) -> bytes:
 
 
 class _ExportedRecording(NamedTuple):
-    """Samples as a file."""
+    """Samples of the last minute, exported as the bytes of a file."""
 
     file_ending: str
     """Ending of the file's name, "rrd" or "csv"."""

@@ -90,7 +90,7 @@ COLORS = {
     "red": (240, 96, 84), "green": (88, 190, 112), "blue": (88, 152, 245), "amber": (226, 172, 62), "violet": (172, 124, 232),
     "teal": (64, 190, 196),
 }  # fmt: skip
-"""Colors of the axes, in their order, and again from the first."""
+"""Colors of the axes in the order of the axes; after the last color the first one follows again."""
 
 
 def assign_colors(recording: Recording) -> dict[str, str]:

@@ -49,7 +49,7 @@ class Scene:
         share one."""
 
     def log_static_geoms(self, out: Any, colors: dict[str, tuple]) -> None:
-        """Log everything that does not move.
+        """Log the geoms that do not move.
 
         Args:
             out: The RecordingStream.

@@ -11,7 +11,7 @@ from stage.serve import client
 
 
 class Frame(NamedTuple):
-    """Kind of frame.
+    """Kind of frame between a host and the server, with its name, number and content.
 
     Attributes:
         kind: Number of the kind.

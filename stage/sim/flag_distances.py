@@ -5,7 +5,7 @@ from __future__ import annotations
 from stage.native import array_of, declare_address_call, exported
 
 MAX_DISTANCE_M = 1e3
-"""Distance that is given for all that is farther apart."""
+"""Largest distance that is measured; geoms that are farther apart get this distance."""
 
 _kinematics = declare_address_call(None, "i8", "i8")
 _distance = declare_address_call("f8", "i8", "i8", "i4", "i4", "f8", "i8")

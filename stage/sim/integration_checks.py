@@ -24,7 +24,10 @@ MIN_STEP_NS = 100 * SLICES  # ns
 MAX_TURN_RAD = 1.0
 """rad: what the oscillation of a rotor on its microstep may turn by in a step. Moves lost their first steps from 1.09 on."""
 MIN_STEPS_PER_TIME_CONSTANT = 10
-"""Of a DC motor, at least. With 11 position control settles as it does with a hundred, with 8 it takes twice as long."""
+"""Minimum number of physics steps in a time constant of a DC motor.
+
+With 11 steps, position control settles as with a hundred; with 8 steps it takes twice as long.
+"""
 SHIPPED_STEP_S = 0.00025
 PROPOSED_STEPS_S = [m * 10.0**e for e in range(-3, -7, -1) for m in (5, 2.5, 1)]
 

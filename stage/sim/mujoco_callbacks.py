@@ -21,12 +21,12 @@ from stage.sim.mujoco_function_addresses import load_mujoco_library
 NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
 _POINTERS = [ctypes.c_void_p.in_dll(load_mujoco_library(), f"mjcb_{name}") for name in NAMES]
 ADDRESSES = [ctypes.addressof(pointer) for pointer in _POINTERS]
-"""Where MuJoCo keeps what it calls."""
+"""Addresses at which MuJoCo stores the pointers of its callbacks."""
 NATIVE = [
     0 if callable(getattr(mujoco, f"get_mjcb_{name}")()) else pointer.value or 0
     for name, pointer in zip(NAMES, _POINTERS, strict=True)
 ]
-"""What stands there while nobody in Python is called: 0, or MuJoCo's own, as for the time."""
+"""Pointers of the callbacks while no Python callback is set: 0, or MuJoCo's own function, as for the time."""
 
 _lock = threading.Lock()
 _installed: dict[str, tuple[Any, Any]] = {}  # name -> what the user set, and the guard in its place

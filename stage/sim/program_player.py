@@ -35,13 +35,13 @@ PLAYED, DIVERGED = engine_records.REACHED, engine_records.DIVERGED
 
 STILL_BUSY = -(1 << 62)
 STEP_LOST = -1
-"""A step was lost that the program wants to keep."""
+"""Status of a program that AWAIT_STOP_OR_LOST_STEP has ended because a step was lost."""
 HALTED = -2
-"""Whoever has it played has set `halt` in the handle: time stands somewhere in the program."""
+"""Status of a program that was interrupted, because another thread has set `halt` in the handle."""
 MAX_PIECE_NS = 100_000_000
-"""ns; after so many at most it is looked whether to halt."""
+"""Longest simulated time, ns, between two checks whether the program is to be interrupted."""
 LONG = 10 * MAX_PIECE_NS
-"""ns; programs of less, all together, are over soon: nobody waits to halt them, which would cost more than it gives."""
+"""Total simulated time, ns, below which programs are played without a background thread that Ctrl-C can interrupt."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]

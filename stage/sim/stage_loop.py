@@ -38,7 +38,7 @@ READ_RETRY_S = 1e-3
 
 
 class StageLoop:
-    """StageLoop that advances the time of a stage; it is the bus of the stage's chips, see `stage.chips.chip.Bus`.
+    """Loop that advances the time of a stage. It is also the bus of the stage's chips, see `stage.chips.chip.Bus`.
 
     Attributes:
         state: Records of the stage.

@@ -33,7 +33,7 @@ START, POWERED = _FIELDS.index("start"), _FIELDS.index("powered")
 
 
 class State:
-    """Records of one stage.
+    """State of one stage as records in memory: chips, drives, switches and tables of constants.
 
     Args:
         model: Model with room for the state in its userdata, see `count_state_words`.

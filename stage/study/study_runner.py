@@ -22,7 +22,7 @@ Objective = Callable[["optuna.Trial"], Any]
 """Measures a trial: returns a number, the less the better, or as many as its attribute `goals` has names."""
 
 STUDY_NAME = "study"
-"""Of the one study that a storage holds."""
+"""Name of the only study in a storage."""
 
 
 def open_study(

@@ -60,7 +60,7 @@ REQUIREMENTS = {
     "circles_and_helices": Requirement("matplotlib", "plot", "for its picture"),
     **{f"{name}.ipynb": Requirement("nbclient", "notebook") for name in NOTEBOOKS},
 }
-"""What an example needs beside PulseStage."""
+"""Libraries that an example needs in addition to PulseStage, by its name."""
 GENERATED_FILES = ("__pycache__", "*.pyc", "_native.so*", "build", "*.egg-info")
 """Files that lie in a folder and are no part of the example."""
 

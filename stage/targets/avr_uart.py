@@ -27,7 +27,7 @@ OVERRUN = (
 )
 LOG_LINE_SIZE = 256  # bytes of a line of the log
 IDLE_S = 50e-6
-"""Simulated time between two looks for a byte."""
+"""Simulated time between two polls for a byte."""
 RESET_BYTE_US = 100
 """Microseconds that simavr gives a character after a reset."""
 _BITS = ("rxen", "u2x", "usbs", "ucsz", "ucsz2", "ubrrl", "ubrrh")

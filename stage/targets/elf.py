@@ -25,7 +25,7 @@ from stage.targets.supported_processors import AVRS
 
 AVR, ARM = 83, 40
 MAX_SIZE = 1 << 28
-"""Bytes of a program."""
+"""Largest size of a program file, bytes."""
 ADDR2LINE = ("avr-addr2line", "arm-none-eabi-addr2line", "llvm-addr2line", "addr2line")
 _PROGRAM = 2
 _KINDS = {1: "an object file", 3: "a shared library", 4: "a core dump"}

@@ -67,7 +67,7 @@ _REGISTERS = {
     "1": (0x84, 0x85, 0x86, 0x80, 0x81, 0x6F, 0x36, (0x88, 0x8A)),
     "2": (0xB2, 0, 0, 0xB0, 0xB1, 0x70, 0x37, (0xB3, 0xB4)),
 }
-"""Of an ATmega328P's timers: TCNT low and high, ICR, TCCRA, TCCRB, TIMSK, TIFR, OCRA and OCRB."""
+"""Register addresses of an ATmega328P's timers: TCNT low and high, ICR, TCCRA, TCCRB, TIMSK, TIFR, OCRA and OCRB."""
 _UCSRB = 0xC1
 _RUNNING, _BEGIN_HZ = 2, 1_000_000
 _SPL, _RAM_END = 0x5D, 0x8FF

@@ -17,7 +17,7 @@ AVRS = (
     "atmega328 atmega328p atmega32u4 atmega48 atmega48p atmega48pa atmega644 atmega644p atmega8 atmega88 atmega88p atmega88pa "
     "atmega8l attiny13 attiny13a attiny2313 attiny2313a attiny24 attiny25 attiny4313 attiny44 attiny45 attiny84 attiny85"
 ).split()
-"""AVRs by simavr's names."""
+"""Names of the supported AVRs, as simavr spells them."""
 CORTEX = ("cortex-m0", "cortex-m3", "cortex-m4")
 X86 = ("8086",)
 SIMAVR = "simavr (Debian: apt install libsimavr2)"

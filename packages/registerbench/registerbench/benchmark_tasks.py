@@ -188,7 +188,7 @@ CARDS = {
         ),
     )
 }
-"""By name."""
+"""Cards of all tasks, by the name of the task."""
 
 
 def find_card(task: str) -> Card:

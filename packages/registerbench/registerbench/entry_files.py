@@ -139,7 +139,7 @@ class Entry:
 
 
 class EntryError(ArgumentError):
-    """The error of a file that is not a complete, undamaged entry of this format."""
+    """Error of a file that is not a complete, undamaged entry of this format."""
 
 
 def read_entry(path: str | os.PathLike) -> Entry:
@@ -158,7 +158,7 @@ def read_entries(path: str | os.PathLike) -> dict[str, Entry]:
 
 
 def _read_archive(path: Path, members: Sequence[str] = ()) -> dict[str, bytes]:
-    """Return the contents of these members of an archive, by default of all, by name. Raises EntryError."""
+    """Return the content of each of these members of an archive, by name; by default of all members. Raises EntryError."""
 
     def refuse(why: str) -> EntryError:
         return EntryError(f"{path} is not an archive of entries: {why}. Get it again from where it came.")

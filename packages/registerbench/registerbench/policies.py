@@ -52,7 +52,7 @@ MAX_FILE_BYTES, MAX_UNPACKED_BYTES = 1 << 28, 1 << 30
 
 
 class Player(Protocol):
-    """Policy with its name and the cost that it states."""
+    """Interface of players: a policy that chooses actions, with its name and the cost that it states."""
 
     name: str
 

@@ -113,7 +113,7 @@ def latch_faults(c, is_driving, chopconf, to_ground, to_supply, ot, otpw):
 
 @hot
 def get_bit_if_passed(passed_before, bit, threshold, upper, excludes_equal, tstep):
-    """Return the bit of a speed threshold if TSTEP has passed it, with hysteresis, and else 0.
+    """Return the bit of a speed threshold if TSTEP has passed the threshold, with hysteresis, else 0.
 
     Args:
         passed_before: Bits of the thresholds that were passed before.

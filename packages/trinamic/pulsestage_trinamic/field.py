@@ -22,12 +22,12 @@ FIELDS = [
 """Fields of the state of a chip."""
 PLACES_PER_FULL_STEP = 256
 PLACE_ANGLE = math.pi / 2 / PLACES_PER_FULL_STEP
-"""Electrical radians of a place."""
+"""Electrical radians of one place, which is 1/256 full step."""
 
 
 @hot
 def move(c, places, clocks):
-    """Move the field by places, evenly in so many clocks from now on, or at once if it is 0."""
+    """Move the field by `places`, 1/256 full steps each, evenly over the next `clocks` clocks, or at once if `clocks` is 0."""
     k = c.moves % HISTORY
     c.moved_at[k], c.moved_by[k], c.moved_in[k] = c.clock, places, clocks
     c.moves += 1
@@ -42,7 +42,7 @@ def count_moves(c):
 
 @hot
 def compute_lag(c, at):
-    """Return by how many places the interpolated field is behind `field` at a clock, from the steps that are still remembered."""
+    """Return by how many places (1/256 full steps) the interpolated field is behind the field at clock `at`."""
     lag = 0.0
     for j in range(least(c.moves, HISTORY)):
         k = (c.moves - 1 - j) % HISTORY
@@ -74,7 +74,7 @@ def compute_mean_place(c, clocks):
 
 @hot
 def _integrate_rest(since, lasts, x):
-    """Integrate the share that a step has left to move, from x on: 1 up to `since`, then falling to 0 in `lasts` clocks."""
+    """Integrate, from clock `x` on, the share of a step that is left: 1 until clock `since`, then falling to 0 within `lasts`."""
     if x <= since:
         return since - x + 0.5 * lasts
     rest = since + lasts - x
@@ -89,5 +89,5 @@ def compute_net_count(c):
 
 @hot
 def correct_load_angle(c, angle):
-    """Return the angle by which the interpolated field leads the rotor, from that of the whole number `compute_net_count`."""
+    """Convert a load angle measured from the count `compute_net_count` to one measured from the interpolated field, radians."""
     return angle + (c.field - compute_lag(c, c.clock) - compute_net_count(c) * c.unit) * PLACE_ANGLE

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 CLOCK_READ_S = 20e-6
 SLICE_S = 200e-6
-"""Longest simulated time between two looks at watched lines and the serial port."""
+"""Longest simulated time between two polls of the watched lines and the serial port."""
 SHARED_SLICE_S = 20e-6
 """Simulated time that passes at once while other threads of the program may want to act in between."""
 YIELD_S = 20e-6
 """Real time for which a thread then steps back."""
 POLL_S = 200e-6
-"""Real time between two looks at the serial port while no simulated time passes."""
+"""Real time between two polls of the serial port while no simulated time passes."""
 TURNAROUND_S = 200e-6
 """Simulated time that passes after the last byte: no program is faster, and chips listen again after an idle time."""
 CLOCKS = ("time", "monotonic", "perf_counter")
@@ -130,7 +130,7 @@ class SingleBoardHost:
     # --- time ---
 
     def advance(self, seconds: float) -> None:
-        """Let simulated time pass, with looks at the serial port and the watched lines."""
+        """Let simulated time pass, and poll the serial port and the watched lines meanwhile."""
         is_shared = threading.active_count() > 1 + (self._server is not None)
         slice_s = SHARED_SLICE_S if is_shared else SLICE_S
         while seconds > 0:
@@ -152,7 +152,7 @@ class SingleBoardHost:
                 callback(level)
 
     def read_time_ns(self) -> int:
-        """Return the program's time, ns since 1970, after the time that the look takes."""
+        """Return the program's time, ns since 1970, after the simulated time that a read of the clock takes."""
         self.advance(CLOCK_READ_S)
         return self._epoch_ns + int(self.stage.now)
 

@@ -26,7 +26,7 @@ class StepDirRegisters(STEPDIR):
         return float(self.CORE.read_motor_current.with_gil(self.pointer, 0))
 
     def read_register(self, name: str) -> int:
-        """Return what a register holds, also one that cannot be read, by its name; no time passes. Raises ArgumentError."""
+        """Return the value of a register by its name, even if a host cannot read it. No time passes. Raises ArgumentError."""
         register = self.MAP.register(name)
         return int(register.value(self.CORE.get_register_value.with_gil(self.pointer, register.number)))
 

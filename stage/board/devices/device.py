@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 TIME_LIMIT_S = 9e9
 """Upper limit of all times of a stage, s."""
 Listener = Callable[[int, int, bool, bool], str]
-"""(port of the device, value, whether it is written, whether with 16 bits) -> what the cycle means."""
+"""Function (port of the device, value, whether it is a write, whether it has 16 bits) that describes a bus cycle in words."""
 
 
 class Device:

@@ -22,7 +22,7 @@ from stage.support.files import FileError, refuse_irregular
 
 ABI = 1
 DescribeCycle = Callable[[int, int, bool], str]
-"""(port, value, whether it is written) -> what the cycle means."""
+"""Function (port, value, whether the cycle is a write) that returns the meaning of a bus cycle in words."""
 MAX_STATE_BYTES = 1 << 20
 
 

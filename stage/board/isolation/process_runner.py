@@ -114,7 +114,7 @@ class _Messages:
 
 
 class _StalledError(Exception):
-    """Error: the child makes no progress. The argument tells whether the child handles timer signals."""
+    """Error of a child process that makes no progress. The argument is whether the child handles timer signals."""
 
 
 class ProcessRunner:

@@ -53,7 +53,7 @@ SANITIZED = {
 
 
 class ProcessContext(NamedTuple):
-    """Surroundings of a child.
+    """Environment, working folder and sys.path with which a child process starts.
 
     Attributes:
         environment: Its environment variables.
@@ -112,7 +112,7 @@ class ChildProcess:
 
 
 class ProcessStarter:
-    """Starter process, as this process controls it.
+    """Connection to the starter process, which forks the child processes of this process.
 
     Attributes:
         children: Identifiers of the children whose end nobody has waited for.

@@ -49,7 +49,7 @@ _LINE_BOUNDS = {
 
 
 class CorruptedError(Exception):
-    """Error: firmware has overwritten the shared memory."""
+    """Error of shared memory that the firmware has overwritten."""
 
 
 LOADING = "loading"

@@ -42,7 +42,7 @@ def _quote(path: Path) -> str:
 
 
 def _make_line_mark(text: str, at: int) -> str:
-    """Return a #line for what stands there."""
+    """Return a #line directive for the place `at` of a sketch."""
     before = text[:at]
     mark = list(re.finditer(r'^#line 1 ("[^\n]*")\n', before, re.M))[-1]
     return f"#line {before[mark.end() :].count(chr(10)) + 1} {mark[1]}\n"

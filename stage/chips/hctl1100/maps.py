@@ -23,7 +23,7 @@ FINAL_LOW, FINAL_MIDDLE, FINAL_HIGH = 0x29, 0x2A, 0x2B
 VELOCITY_LOW, VELOCITY_HIGH, INTEGRAL_VELOCITY = 0x34, 0x35, 0x3C
 ADDRESSES = 64
 CLEAR = ACTUAL_MIDDLE
-"""Any write there clears the actual position."""
+"""Bus address at which any write clears the actual position."""
 SEVEN_BITS = (0, 0x7F)
 
 
@@ -96,7 +96,7 @@ QUANTITIES = {
     )
     for a in q.addresses
 }  # fmt: skip
-"""By the address of each part."""
+"""Quantities of several registers, by the address of each of their registers."""
 
 
 def _make_bit(name: str, number: int, meaning: str, evidence: str = "D", access: str = "R", **more: object) -> Field:

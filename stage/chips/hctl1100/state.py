@@ -63,7 +63,7 @@ STATE = record(
         ("reg", "i8", (maps.ADDRESSES,)),  # what is stored as it was written, by address
     ]
 )
-"""State of one chip."""
+"""State of one HCTL-1100."""
 
 LIMIT, STOP, INDEX, SYNC = (1 << k for k in range(4))
 INPUTS = {"limit": LIMIT, "stop": STOP, "index": INDEX, "sync": SYNC}

@@ -70,7 +70,7 @@ REFUSALS = {
 }
 """Error of RR2, or what has ended the drive -> why a drive does not begin."""
 STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
-"""As REFUSALS, of a chip that has STOP3: the bit is another cause in the other chips."""
+"""Table like REFUSALS for chips that have STOP3; in the other chips this bit has another cause."""
 
 
 class LintState:

@@ -174,7 +174,7 @@ AXIS = record(
         *_PROFILE,
     ]
 )
-"""State of one axis."""
+"""State of one axis of a NOVA chip."""
 
 LINE, ARC, PATTERN, HELIX = range(1, 5)
 STAGES = 8  # of the pre-buffer; the queue has one more place, for the running segment
@@ -261,7 +261,7 @@ INTERPOLATION = record(
         ("segment_end", "f8", (2,)),  # place at which the segment ends, if it decelerates
     ]
 )
-"""The interpolation in progress."""
+"""State of the interpolation in progress."""
 
 STATE = record(
     [
@@ -299,7 +299,7 @@ STATE = record(
         ("ax", AXIS, (AXES,)),
     ]
 )
-"""State of one chip."""
+"""State of one NOVA chip."""
 
 _SIGNALS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2", "inpos", "alarm", "eca", "ecb")
 INPUTS = {name: 1 << k for k, name in enumerate((*_SIGNALS, *(f"pio{i}" for i in range(8))))}
@@ -307,7 +307,7 @@ LMT_PLUS, LMT_MINUS, STOP0, STOP1, STOP2, INPOS, ALARM, ECA, ECB = (1 << k for k
 PIO = 9
 EXP = PIO + 4  # EXP+, then EXP-
 INPUTS_300 = {name: 1 << k for k, name in enumerate(_SIGNALS)} | {"exp_plus": 1 << EXP, "exp_minus": 2 << EXP}
-"""Of the chips before the MCX514."""
+"""Input pins of the chips before the MCX514."""
 STOP3 = 1 << PIO
 INPUTS_314 = INPUTS_300 | {"stop3": STOP3}
 INPUTS_512 = INPUTS | {f"pio{i}": 1 << PIO + i for i in range(8, 14)}  # PIO8 to PIO13

@@ -12,7 +12,7 @@ from stage.chips.register_map import Register, RegisterMap
 
 SPEED = next(f for f in OPERATING_MODE.fields if f.name == "speed")
 _NONE = {CONTROL: "manual, plus", OUTPUT: "common pulses"}
-"""Descriptions of modes whose bits are all 0."""
+"""Descriptions of mode commands in which no bit is set."""
 
 
 def describe_command(map_: RegisterMap, value: int) -> str:

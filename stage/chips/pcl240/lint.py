@@ -82,9 +82,9 @@ LAST_PULSES = 16
 tenth of the ramp: some pulses are always missing, see docs/ramp_down.md."""
 _SPEEDS = MAP.field("operate", "speed").values
 _FH = {FH1: 2, FH2: 3}
-"""Speed select -> number of its register; R1 of any other."""
+"""Number of the register for each speed select code; R1 for every other code."""
 _WORD = (1 << 24) - 1
-"""The bits of the three data bytes."""
+"""Mask of the bits in the three data bytes of a register."""
 _RAMPING = ("R1", "R4", "R5", "R14", "R15")
 
 

@@ -16,9 +16,9 @@ from dataclasses import replace
 from stage.chips.register_map import Field, Register, RegisterMap, Word
 
 OPERATE, CONTROL, SELECT, OUTPUT = 0x00, 0x40, 0x80, 0xC0
-"""What a byte to address 0 begins with, in its two high bits (section 3)."""
+"""Kinds of commands at address 0, by their two highest bits (data sheet section 3)."""
 WRITTEN = {OPERATE: "operate", CONTROL: "control", SELECT: "select", OUTPUT: "output"}
-"""Which word such a byte is."""
+"""Name of the command word for each kind of command at address 0."""
 COUNTERS = ("R0", "R10")
 """Registers that count by themselves."""
 WIRES = {

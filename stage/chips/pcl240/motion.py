@@ -51,7 +51,7 @@ def _sample_inputs(chip):
 
 @hot
 def _apply_switches(chip, rising):
-    """Apply the limit switches and ORG, and count EZ in an origin return with EZ: step 1 of a tick.
+    """Apply the limit switches and ORG, and count EZ in an origin return with EZ. This is the first part of each clock.
 
     Args:
         chip: State of the chip.

@@ -222,7 +222,7 @@ def count_ticks_to_step(chip, goal_speed):
 
 @hot
 def update_speed(chip):
-    """Update the speed, the third step of each clock in the normative model."""
+    """Update the speed of a ramp at this clock. This is the third part of each clock in the normative model."""
     chip.speed_rising = 0
     if not chip.uses_ramps:
         chip.speed = read_selected_speed(chip)

@@ -109,7 +109,7 @@ STATE = record(
         ("offset_sign_bit", "i8"),  # sign bit of R6 as an offset
     ]
 )
-"""State of one chip."""
+"""State of one PCL-240."""
 
 EL_PLUS, EL_MINUS, SD_PLUS, SD_MINUS, ORG, INS, EXTP, EZ = (1 << k for k in range(8))
 INPUTS = {

@@ -15,12 +15,12 @@ from stage.chips.stepdir.state import RATE
 from stage.native import greatest, hot, least
 
 MARKED_CHANGE = 0.01
-"""Share of RATE by which the rate changes between two edges of a course."""
+"""Smallest change of the rate between two EDGE records, as a share of RATE."""
 
 
 @hot
 def get_marked_change(chip):
-    """Return the change of the rate from which on an edge of a course is written, steps per clock."""
+    """Return the smallest change of the rate for which an EDGE record is written, steps per clock."""
     return MARKED_CHANGE * chip.reg[RATE] / chip.hz
 
 

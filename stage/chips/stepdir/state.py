@@ -73,7 +73,7 @@ STATE = record(
         ("jerk", "f8", (SEGMENTS,)),  # pps/s^2, constant in the segment
     ]
 )
-"""One axis."""
+"""State of one STEP/DIR axis."""
 
 START, RATE, RAMP_UP, RAMP_DOWN, CURVED, STEPS, EVENTS, HIGH, POSITION = (
     MAP.register(name).number

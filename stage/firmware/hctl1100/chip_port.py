@@ -172,7 +172,7 @@ class ChipPort:
         self.chip.write(MODE, CONTROL)
 
     def is_limited(self) -> bool:
-        """Return whether LIMIT is latched, which keeps the chip in Init/Idle."""
+        """Return whether the flag LIMIT is latched; it keeps the chip in the mode Init/Idle."""
         return not self.read_status() & LIMIT
 
     def wait_for_safe_part(self, mode: str = "position") -> None:

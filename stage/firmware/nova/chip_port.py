@@ -69,7 +69,7 @@ def compute_mcx514_inputs(axis: Axis) -> int:
 
 
 class ChipPort:
-    """Bus port of one axis. Raises ArgumentError if the axis' chip is no NOVA chip."""
+    """Access to the registers of one axis of a NOVA chip. Raises ArgumentError for an axis with another chip."""
 
     def __init__(self, axis: Axis):
         if not isinstance(getattr(axis, "chip", None), Nova):

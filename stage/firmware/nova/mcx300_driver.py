@@ -18,7 +18,7 @@ OperationsType = TypeVar("OperationsType", bound=Operations)
 
 HMST = MCX304_MAP.field("RR2", "HMST")
 HMST_SEARCHES_BACK = HMST.find_code("step 2: waits for STOP1 in the other direction")
-"""Of HMST: the end limit has come before the signal, and the chip looks for it on the way back."""
+"""Value of HMST while the chip searches in the opposite direction, because the end limit came before the signal."""
 FILTER_CODE = 4
 """Of FL, in the search at HV: an input counts when it was steady for 2 ms, so that a contact that bounces has one edge. That is
 less than a pulse at HV; at the drive speed it would be many, and there the inputs have no filter."""

@@ -189,7 +189,7 @@ def has_ez_monitor(chip: Chip | type[Chip]) -> bool:
 
 @explain_constructor
 class ChipPort:
-    """Bus port of one axis' chip.
+    """Access to the registers and commands of the PCL-240 that drives one axis.
 
     Args:
         axis: Axis of a stage or a bench, whose chip is of the PCL-240 family.

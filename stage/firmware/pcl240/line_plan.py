@@ -76,12 +76,12 @@ class AxisPlan:
 
     @property
     def fl(self) -> float:
-        """FL, pps."""
+        """Low rate FL, at which the axis begins and ends its move, pps."""
         return self.registers["R1"] * self.rate_per_speed_step
 
     @property
     def fh(self) -> float:
-        """FH, pps."""
+        """High rate FH of the axis, pps."""
         return self.registers["R2"] * self.rate_per_speed_step
 
     @property
@@ -96,13 +96,13 @@ class AxisPlan:
 
     @property
     def accel_time(self) -> float:
-        """Time from FL to FH, s."""
+        """Duration of the ramp up from FL to FH, s."""
         r = self.registers
         return compute_ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.curved_end_steps)
 
     @property
     def decel_time(self) -> float:
-        """Time from FH to FL, s."""
+        """Duration of the ramp down from FH to FL, s."""
         r = self.registers
         return compute_ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.curved_end_steps)
 

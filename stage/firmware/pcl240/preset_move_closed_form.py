@@ -98,7 +98,7 @@ def compute_ramp_ticks(row, rate_register):
 
 @hot
 def _sum_square_roots(count):
-    """Return 1 + sqrt 2 + ... + sqrt n, to a thousandth (Euler and Maclaurin)."""
+    """Return the sum of the square roots of 1 to `count`, to a thousandth, by the formula of Euler and Maclaurin."""
     return np.sqrt(count) * (count / 1.5 + 0.5 + 1.0 / (24.0 * count)) - ZETA if count > 0 else 0.0
 
 
@@ -231,7 +231,7 @@ def fill_motion(row, motion):
 
 @hot
 def compute_linear_phase(row, motion, ticks):
-    """Return `compute_phase` of linear ramps."""
+    """Compute the phase of a move with linear ramps, as `compute_phase` does."""
     if ticks <= motion[0]:
         j = min(row[2] - row[1], int(ticks / row[4]))
         return row[4] * (row[1] * j + j * (j - 1) // 2) + (ticks - j * row[4]) * (row[1] + j)
@@ -244,7 +244,7 @@ def compute_linear_phase(row, motion, ticks):
 
 @hot
 def compute_s_curve_phase(row, motion, ticks):
-    """Return `compute_phase` of S-curves."""
+    """Compute the phase of a move with S-curve ramps, as `compute_phase` does."""
     return _compute_s_curve_state(row[1], row[2], row[8], row[4], row[5], motion[0], motion[1], motion[2], ticks)[1]
 
 

@@ -34,7 +34,7 @@ MAX_SPEED_STEPS = 8191
 
 
 def compute_pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
-    """Compute Fout = Rf clock / (8192 R7), pps (data sheet section 4, equation 4).
+    """Compute the output pulse rate Fout = Rf clock / (8192 R7), pps (data sheet section 4, equation 4).
 
     Args:
         speed: Rf, speed steps.
@@ -65,7 +65,7 @@ def compute_equivalent_linear_ramp_steps(low: int, high: int, curved_end_steps: 
 def compute_ramp_seconds(
     low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ, curved_end_steps: int | None = None
 ) -> float:
-    """Compute Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3).
+    """Compute the duration of a ramp, Tsu or Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3).
 
     An S-curve with a linear part takes (FH - FL + 2 S) rate / (2 clock) with S = curved_end_steps (data sheet MS, 3-3).
 
@@ -80,7 +80,7 @@ def compute_ramp_seconds(
 
 
 def compute_ramp_pulses(low: int, high: int, rate: float, r7: int, curved_end_steps: int | None = None) -> float:
-    """Compute Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A).
+    """Compute the pulses of a ramp, Psu or Psd = (FH^2 - FL^2) rate / (16384 R7) (data sheet section 4, R6, and Q & A).
 
     An S-curve with a linear part makes (FL + FH) (FH - FL + 2 S) rate / (32768 R7) with S = curved_end_steps (data sheet MS,
     3-4.2). This is the area of the trapezoid; the chip's staircase makes (FH - FL) rate / (16384 R7) fewer.
@@ -354,17 +354,17 @@ class Profile:
 
     @property
     def fl(self) -> float:
-        """FL, pps."""
+        """Low rate FL, at which a move begins and ends, pps."""
         return self.R1 * self.rate_per_speed_step
 
     @property
     def fh1(self) -> float:
-        """FH1, pps."""
+        """High rate FH1, pps."""
         return self.R2 * self.rate_per_speed_step
 
     @property
     def fh2(self) -> float:
-        """FH2, pps."""
+        """Second high rate FH2, pps."""
         return self.R3 * self.rate_per_speed_step
 
     def get_high_speed(self, fh2: bool = False) -> int:

@@ -19,7 +19,7 @@ from stage.chips import core_interface
 from stage.support.extras import import_extra
 
 FEATURE_NAME = "a fleet on a GPU"
-"""For what the libraries are needed, in errors."""
+"""Name of the feature that needs the libraries, for error messages."""
 ALL_LANES = 0xFFFFFFFF
 INLINED = ("_flag_edges",)
 """Functions that return an array made from an address, which numba-cuda only takes where it is inlined."""

@@ -27,7 +27,7 @@ from stage.support.argument_checks import explain_arguments
 from stage.support.extras import import_extra
 
 KERNELS = ("stage.chips.pcl240.core", "stage.chips.hctl1100.core")
-"""Cores of the families whose code has run on a GPU."""
+"""Cores of the chip families whose code was tested on a GPU."""
 STEPS_A_LAUNCH = 20
 
 

@@ -26,7 +26,7 @@ from stage.sim.switch_edges import find_next_edge, predict_axis_switch_edges, pr
 from stage.sim.warm_start_prediction import apply_effort
 
 LOST = 1 << 62
-"""Beside the bits of axes in motion: a step was lost that the program wants to keep."""
+"""Bit beside those of the axes in motion: AWAIT_STOP_OR_LOST_STEP has found a lost step."""
 
 STATE: Any = None
 DRIVE: Any = None

@@ -27,9 +27,9 @@ of an AWAIT_STOP or AWAIT_STOP_OR_LOST_STEP the time of its begin (ns), the axes
 program ended; 1 where physics has moved the copy since; 1 where the program is over and the copy's coordinates are frozen; the
 smallest box that contains the path of a measured point (m)."""
 LANE_ROW = record([("axes", "i8"), ("hz", "i8"), ("ticks", "f8")])
-"""Of a chip: axes in use, clock in Hz, clocks in a slice."""
+"""Constants of a lane's chip: number of axes in use, clock in Hz, clocks in a slice."""
 AXIS_PLACE = record([(name, "i8") for name in "lane axis qpos dof".split()])
-"""Of an axis of the stage: its lane, its number there, its places in qpos and qvel."""
+"""Position of an axis of the stage: its lane, its number in the lane, its indices in qpos and qvel."""
 
 
 class LaneLayout:

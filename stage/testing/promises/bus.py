@@ -213,7 +213,7 @@ def _require_no_error(what: str, call: Callable[..., Any], *args: Any) -> None:
 
 
 def check_words(trial: PromiseTrial) -> None:
-    """Check that the listener and the decoder describe every bus cycle in one line of ASCII."""
+    """Check that the describer and the decoder describe every bus cycle in one line of ASCII."""
     for rng in trial.seeded_generators():
         chip = trial.make()
         listener = chip.make_describer()

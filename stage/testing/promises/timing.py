@@ -115,7 +115,7 @@ def _check_cut_at(trial: PromiseTrial, chip: Chip, clocks: int, cuts: list[int])
 
 
 def check_windows(trial: PromiseTrial) -> None:
-    """Check that run and window, which a stage's loop calls, lead to the same state as `advance`.
+    """Check that the core functions `run` and `run_window`, which a stage's loop calls, lead to the same state as `advance`.
 
     The mean and the net pulses of each slice must be right as well.
     """

@@ -47,7 +47,7 @@ class Limits:
 
 
 class GameLeft(BaseException):
-    """The exception that ends a player that goes on after the end of its game."""
+    """Exception that ends a player which continues to make calls after its game is over."""
 
 
 class GameSession:

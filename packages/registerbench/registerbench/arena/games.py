@@ -54,7 +54,7 @@ class Game:
 
 
 class DiagnosisGame(Game):
-    """Broken set-up that the player diagnoses and repairs."""
+    """Game in which the player diagnoses and repairs a broken set-up."""
 
     def __init__(self, name: str):
         self.case, self.name = Case(name), f"{DIAGNOSIS}:{name}"
@@ -81,7 +81,7 @@ itself."""
 
 
 class BenchmarkGame(Game):
-    """Test episode of a task. The games of a suite share one `EpisodeSequence`."""
+    """Game that consists of one test episode of a task. The games of a suite share one `EpisodeSequence`."""
 
     def __init__(self, sequence: EpisodeSequence):
         self._sequence, self.number = sequence, sequence.finished
@@ -139,7 +139,7 @@ class BenchmarkGame(Game):
 
 
 class Suite:
-    """Games that are made, played and closed one after the other by iteration.
+    """Suite of games; a loop over the suite makes and closes them one after the other.
 
     Attributes:
         name: Name of the suite.

@@ -46,7 +46,7 @@ class RunHeader:
 
 @dataclass(frozen=True)
 class GameResult:
-    """Game that was played.
+    """Result of one game that a player has played.
 
     Attributes:
         game: Name of the game.
@@ -74,7 +74,7 @@ class GameResult:
 
 @dataclass(frozen=True)
 class SuiteResult:
-    """Games of a player, and their score.
+    """Result of a player on a suite: its games, and their score.
 
     Attributes:
         head: Header of the run.

@@ -19,7 +19,7 @@ Player = Callable[[GameSession], Any]
 
 
 class Interrupted(StageError):
-    """The error of a run that cannot go on; `result` has the games until then."""
+    """Error of a run that cannot continue; its attribute `result` has the games that were played before."""
 
     def __init__(self, message: str, result: SuiteResult):
         super().__init__(message)

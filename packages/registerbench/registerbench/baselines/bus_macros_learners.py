@@ -119,7 +119,7 @@ class MacroPolicy:
         return cls(method, kind.load(path, device="cpu"), stored["temperature"])
 
     def reset(self, policy_context: Any) -> None:
-        """Prepare for an episode; `context.feature_names` names the features of its observations."""
+        """Prepare for an episode; `policy_context.feature_names` names the features of its observations."""
         self.axis_roles = AxisRoles(policy_context.feature_names, self.model.action_space.n)
 
     def choose_macros(self, observations: np.ndarray, masks: np.ndarray) -> np.ndarray:

@@ -59,7 +59,7 @@ class BothDirectionsVectorEnv(StageVectorEnv):
 
 @dataclass
 class MoveLog:
-    """Moves in order, a list for each quantity.
+    """Log of the moves of a search: a list for each measured quantity, with an entry for each move.
 
     Attributes:
         reward: Reward of the environment.

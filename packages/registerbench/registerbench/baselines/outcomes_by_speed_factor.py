@@ -57,7 +57,7 @@ class OutcomesBySpeedFactor:
         )
 
     def find_nearest_rows(self, logs: np.ndarray) -> np.ndarray:
-        """Return the indices of the nearest speed_factor.
+        """Return the index of the speed factor in SPEED_FACTORS that is nearest to each given one.
 
         Args:
             logs: Logarithms of speed factors, (n,).

@@ -233,4 +233,4 @@ x: P <- 40000           # 125 mm
         ),
     )
 }  # fmt: skip
-"""By name."""
+"""Broken set-ups by name."""

@@ -62,7 +62,7 @@ def power_up(c):
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
-    """Return what a read would give."""
+    """Return the value that a read cycle would find, without its side effects."""
     if address >= maps.REGISTER_BASE:
         return registers.read_register(c, address - maps.REGISTER_BASE)
     if address == maps.UART_BYTE:
@@ -74,7 +74,7 @@ def peek(c, address):
 
 @exported("i8", STATE, "i8")
 def read(c, address):
-    """Make a read cycle; one of UART_BYTE takes the byte."""
+    """Make a read cycle. A read of UART_BYTE removes the byte from the queue of received bytes."""
     value = peek(c, address)
     if address == maps.UART_BYTE:
         uart.take_byte(c)
@@ -100,7 +100,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value that a register holds, also of one that cannot be read."""
+    """Return the value of a register, even if a host cannot read it."""
     if address >= maps.REGISTER_BASE:
         return registers.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
@@ -114,7 +114,7 @@ def get_step_places(c):
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, axis_index, word):
-    """Take new levels of the input pins; the outputs of the chip among them stay its own."""
+    """Set the levels of the input pins, except DIAG and INDEX, which the chip itself drives."""
     before, word = c.inputs, word & ~state.ANSWERED
     apply_line_levels(c, word)
     _follow_lines(c, before)
@@ -127,7 +127,7 @@ def set_input(c, axis_index, word):
 
 @exported("i8", STATE, "i8")
 def read_inputs(c, axis_index):
-    """Return the pins, with DIAG and INDEX, which the host reads as it reads the switches."""
+    """Return the input pins with DIAG and INDEX, which a host reads in the same word as the switches."""
     return registers.compute_input_word(c)
 
 
@@ -158,7 +158,7 @@ def read_motor_current(c, axis_index):
 
 @exported("i8", STATE, "i8", "f8", "f8")
 def set_load(c, axis_index, angle, emf):
-    """Take a sample of the load, and return whether the chip's behavior can depend on it.
+    """Store a sample of the motor's load, and return whether the chip's behavior can depend on the load.
 
     Args:
         c: State of the chip.

@@ -44,7 +44,7 @@ def describe_write(address: int, value: int) -> str:
 
 
 class CycleDescriber(step_timer.CycleDescriber):
-    """Descriptions of bus cycles."""
+    """Describer of the bus cycles of a TMC2209 axis."""
 
     def write(self, address: int, value: int) -> str:
         return describe_write(address, value)
@@ -58,7 +58,7 @@ class CycleDescriber(step_timer.CycleDescriber):
 
 
 class Decoder(step_timer.Decoder):
-    """Meaning of the writes of a journal."""
+    """Decoder of the writes in a journal of a TMC2209 axis."""
 
     def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         r = maps.WRITABLE_REGISTERS.get(address - maps.REGISTER_BASE)

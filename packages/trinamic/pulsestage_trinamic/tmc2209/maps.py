@@ -136,7 +136,7 @@ MAP = RegisterMap(
     STEP_TIMER.words,
     STEP_TIMER.commands,
 )
-"""Everything on the bus of a host: the step timer, and the chip's registers at REGISTER_BASE."""
+"""Register map of the axis: the step timer, and the registers of the chip from REGISTER_BASE on."""
 
 NUMBER = {r.name: r.number for r in DRIVER_REGISTERS}
 READABLE_REGISTERS = {r.number: r for r in DRIVER_REGISTERS if "R" in r.access}

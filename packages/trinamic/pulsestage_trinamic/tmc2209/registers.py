@@ -14,7 +14,7 @@ FULL_DUTY = 255
 
 @hot
 def clear(c):
-    """Set the power-up values of the data sheet; pins, the place of the field and what the chip is fitted with stay."""
+    """Set the power-up values of the data sheet. The pins, the position of the field and the parts on the board stay."""
     for k in range(maps.REGISTERS):
         c.registers[k] = maps.RESET_VALUES[k]
     c.followed = c.net
@@ -46,7 +46,7 @@ def compute_index_pin(c):
 
 @hot
 def compute_input_word(c):
-    """Return the pins, with the outputs that the host reads."""
+    """Compute the word that a host reads: the input pins, with the outputs DIAG and INDEX."""
     word = c.inputs | (state.DIAG if compute_diag_pin(c) else 0)
     return word | (state.INDEX if compute_index_pin(c) else 0)
 
@@ -112,7 +112,7 @@ def read_register(c, register):
 
 @hot
 def write_register(c, register, value):
-    """Write a register; it acts at once."""
+    """Write a register. The new value takes effect at once."""
     if maps.STORED_BITS[register] == 0:
         return
     value &= maps.STORED_BITS[register]

@@ -9,7 +9,7 @@ from stage.native import record
 
 NEVER = lines.NEVER
 QUEUE = 64
-"""Bytes on their way to the chip, and bytes that it has sent and nobody has read."""
+"""Largest number of bytes on the way to the chip, and of bytes that the chip has sent and the host has not read."""
 DATAGRAM = 8
 MISTAKES = 6
 BAD_RATE, BAD_SYNC, BAD_CRC, OTHER_ADDRESS, NO_REGISTER, READ_ONLY = range(MISTAKES)
@@ -81,7 +81,7 @@ STATE = record(
         ("mistake_detail", "i8", (MISTAKES,)),  # its byte, address or register
     ]
 )
-"""One axis."""
+"""State of one STEP/DIR axis with a TMC2209."""
 
 _further = (
     "ms1", "ms2", "pdn", "spread", "otpw", "ot", "s2ga", "s2gb", "s2vsa", "s2vsb", "ola", "olb", "uv_cp", "diag", "index",

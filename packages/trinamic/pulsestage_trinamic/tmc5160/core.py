@@ -41,7 +41,7 @@ __all__ = [
 
 @hot
 def _halt_and_renew_thresholds(c):
-    """Stop at once; the thresholds take the speed of 0 into account at the next clock, not at this one."""
+    """Stop at once. The speed thresholds are evaluated for the speed 0 at the next clock, not at this one."""
     ramp.halt_ramp(c)
     c.fresh = 1
 
@@ -235,7 +235,7 @@ def read_motor_current(c, j):
 
 @exported("i8", STATE, "i8", "f8", "f8")
 def set_load(c, j, angle, emf):
-    """Take a sample of the load, and return whether the chip's behavior can depend on it.
+    """Store a sample of the motor's load, and return whether the chip's behavior can depend on the load.
 
     Args:
         c: State of the chip.
@@ -342,7 +342,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value that a register holds, also of one that cannot be read."""
+    """Return the value of a register, even if a host cannot read it."""
     return bus.get_register_value(c, address)
 
 

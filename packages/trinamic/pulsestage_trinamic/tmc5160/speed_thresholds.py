@@ -39,7 +39,7 @@ def compute_tstep(c, q):
 
 @hot
 def _get_bit_if_passed(c, bit, threshold, excludes_equal, tstep):
-    """Return the bit of a threshold if TSTEP has passed it, and else 0."""
+    """Return the bit of a speed threshold if TSTEP has passed the threshold, else 0."""
     upper = threshold * 31 // 32 - 1 if c.reg[state.GCONF] & state.SMALL_HYSTERESIS else threshold * 15 // 16 - 1
     return common_power_stage.get_bit_if_passed(c.speeds, bit, threshold, upper, excludes_equal, tstep)
 

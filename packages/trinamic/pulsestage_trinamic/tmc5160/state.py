@@ -86,7 +86,7 @@ STATE = record(
         ("reg", "i8", (REGISTERS,)),  # what is stored as it was written
     ]
 )
-"""One chip."""
+"""State of one TMC5160."""
 
 REFL, REFR, ENCB, ENCA, DRV_ENN, ENCN, SD_MODE = (1 << k for k in range(7))  # as in IOIN
 IOIN_PINS = 2 * SD_MODE - 1

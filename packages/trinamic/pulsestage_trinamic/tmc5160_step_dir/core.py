@@ -49,7 +49,7 @@ def power_up(c):
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
-    """Return what a read would give."""
+    """Return the value that a read cycle would find, without its side effects."""
     if address >= maps.REGISTER_BASE:
         number = address - maps.REGISTER_BASE
         return sequencer_connection.get_register_value(c, number) if chip_maps.IS_READABLE[number] else 0
@@ -86,7 +86,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value that a register holds, also of one that cannot be read."""
+    """Return the value of a register, even if a host cannot read it."""
     if address >= maps.REGISTER_BASE:
         return sequencer_connection.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
@@ -100,7 +100,7 @@ def get_step_places(c):
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, axis_index, word):
-    """Take new levels of the input pins; the outputs of the chip among them stay its own."""
+    """Set the levels of the input pins, except DIAG0 and DIAG1, which the chip itself drives."""
     before, word = c.inputs, word & ~state.ANSWERED
     apply_line_levels(c, word)
     _follow_lines(c, before)
@@ -111,7 +111,7 @@ def set_input(c, axis_index, word):
 
 @exported("i8", STATE, "i8")
 def read_inputs(c, axis_index):
-    """Return the pins, with DIAG0 and DIAG1, which the host reads as it reads the switches."""
+    """Return the input pins with DIAG0 and DIAG1, which a host reads in the same word as the switches."""
     return sequencer_connection.compute_input_word(c)
 
 
@@ -139,7 +139,7 @@ def read_motor_current(c, axis_index):
 
 @exported("i8", STATE, "i8", "f8", "f8")
 def set_load(c, axis_index, angle, emf):
-    """Take a sample of the load, and return whether the chip's behavior can depend on it.
+    """Store a sample of the motor's load, and return whether the chip's behavior can depend on the load.
 
     Args:
         c: State of the chip.

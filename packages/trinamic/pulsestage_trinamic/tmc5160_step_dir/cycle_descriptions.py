@@ -19,7 +19,7 @@ def _find_chip_address(address: int) -> int | None:
 
 
 class CycleDescriber(step_timer.CycleDescriber):
-    """Descriptions of bus cycles."""
+    """Describer of the bus cycles of a STEP/DIR axis with a TMC5160."""
 
     def write(self, address: int, value: int) -> str:
         chip_address = _find_chip_address(address)
@@ -37,7 +37,7 @@ class CycleDescriber(step_timer.CycleDescriber):
 
 
 class Decoder(step_timer.Decoder):
-    """Meaning of the writes of a journal. Bytes of SPI are collected to datagrams."""
+    """Decoder of the writes in a journal, which collects the bytes of an SPI datagram until its end."""
 
     def __init__(self) -> None:
         self._chip = chip.Decoder()

@@ -24,4 +24,4 @@ MAP = RegisterMap(
     (*STEP_TIMER.words, *chip.MAP.words),
     STEP_TIMER.commands,
 )
-"""Everything on the bus of a host."""
+"""Register map of the axis: the step timer, SPI, and the registers of the chip."""

@@ -21,7 +21,7 @@ SPEED_OF_ONE_CLOCK = 1 << 41
 
 @hot
 def update_clock(c):
-    """Bring the chip's clock to the present time."""
+    """Advance the clock of the chip to the present time of the axis."""
     d = c.driver[0]
     d.clock = c.clock // c.hz * d.hz + c.clock % c.hz * d.hz // c.hz
 

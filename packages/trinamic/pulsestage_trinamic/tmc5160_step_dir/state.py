@@ -16,7 +16,7 @@ STATE = record(
         ("driver", chip.STATE, (1,)),  # the chip, in its own clock; its ramp generator is off
     ]
 )
-"""One axis."""
+"""State of one STEP/DIR axis with a TMC5160."""
 
 _further = ("s2ga", "s2gb", "s2vsa", "s2vsb", "ot", "otpw", "ola", "olb", "uv_cp", "diag0", "diag1")
 INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_further)}}

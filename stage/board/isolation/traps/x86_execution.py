@@ -62,7 +62,7 @@ MAX_INSTRUCTIONS = 200
 SAME_STACK, RED_ZONE = 1 << 16, 128
 """Bytes from the handler up to the firmware, if it has no stack of its own; bytes below rsp that are the firmware's."""
 ADDRESS, REGS = 16, 40
-"""In siginfo_t, ucontext_t."""
+"""Offsets of the faulting address in siginfo_t, and of the saved registers in ucontext_t."""
 
 
 @hot
@@ -82,7 +82,7 @@ def _find_place(number):
 
 @hot
 def read_register(state, number, size):
-    """Return the lowest `size` bytes of register `n`."""
+    """Return the lowest `size` bytes of register `number`."""
     regs = array_at(state.regs, REGISTERS, _I8)
     if size == 1 and state.rex == 0 and 4 <= number < 8:  # AH, CH, DH, BH
         return sign_extend(int(regs[_find_place(number - 4)]) >> 8, 1)
@@ -91,7 +91,7 @@ def read_register(state, number, size):
 
 @hot
 def write_register(state, number, size, value):
-    """Write register `n`.
+    """Write the lowest `size` bytes of register `number`.
 
     As on the processor, a write of 4 bytes clears the upper half, and a smaller one leaves the other bytes.
     """
@@ -135,7 +135,7 @@ def _is_window(space, address):
 
 @hot
 def _load_signed(address, size):
-    """Read memory, signed."""
+    """Read a signed number of `size` bytes from memory."""
     content, value = array_at(address, size, _U1), 0
     for k in range(size):
         value |= int(content[k]) << 8 * k

@@ -18,7 +18,7 @@ BT, BTS, BTR, BTC = range(36, 40)
 PUSH, POP, CALL, RET, JMP, JCC, LEAVE = range(40, 47)
 MOVS, STOS = range(48, 50)
 GROUP, GROUP_DONE = 64, 72
-"""From here on: groups."""
+"""Operation of an opcode that stands for group 0 of instructions; the other groups follow, up to GROUP_DONE."""
 
 NONE, E, G, A, D, R, IMM, ONE, CL, EA = range(10)
 """Operands: E is a register or memory, as the byte behind the opcode says, G a register that it names, A RAX or the lower part of
@@ -33,7 +33,7 @@ GROUPS = 512
 
 
 ARITHMETIC, SHIFTS, UNARY, COUNT, OFF, BITS = range(6)
-"""Groups."""
+"""Groups of instructions that share an opcode; the byte after the opcode selects one of them."""
 PAIRS = (
     *((8 * operation, operation, E, G, 0) for operation in range(ADD, TEST)),
     *((8 * operation + 2, operation, G, E, 0) for operation in range(ADD, TEST)),

@@ -76,7 +76,7 @@ _FILTERS = (
     3 << state.EXP,
     state.STOP3,
 )
-"""Of FE0 to FE4; the last one is the MCX314As's alone."""
+"""Masks of the inputs that the filter bits FE0 to FE4 enable; only the MCX314As has FE4."""
 
 
 @hot

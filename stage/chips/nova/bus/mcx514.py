@@ -39,11 +39,11 @@ READS = {c.symbol: c.code for m in GENERATION for c in m.commands if c.kind == "
 R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
 _READ = {READS[f"R-{r.name}"]: r.number for m in GENERATION for r in m.registers if f"R-{r.name}" in READS}
 PLACES = tuple(k if (k := _READ.get(code, -1)) < state.REGISTERS else -1 for code in range(256))
-"""Of a reading command: the place in `reg` that it reads, or -1."""
+"""Index in `reg` that each data reading command reads, or -1."""
 MODE_PLACES = tuple(
     k - state.MODE_FIRST if (k := _READ.get(code, -1)) >= state.MODE_FIRST else -1 for code in range(256)
 )
-"""The place in `mode` that it reads, or -1."""
+"""Index in `mode` that each data reading command reads, or -1."""
 READ_FIRST, READ_LAST = min(READS.values()), max(READS.values()) | 15
 """Reading commands; the others among them read as 0."""
 R_WR1, R_WR3 = READS["R-WR1"], READS["R-WR3"]
@@ -57,7 +57,7 @@ LACKING_CHIPS = tuple(
     sum(1 << axes for axes, its in _CODES.items() if code not in its) if code in set().union(*_CODES.values()) else 0
     for code in range(256)
 )
-"""Of a command that a chip of the generation has: bit k is set if the one with k axes lacks it."""
+"""Mask for each command: bit k is set if the chip of this generation with k axes lacks the command."""
 _INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
 INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
 

@@ -62,7 +62,7 @@ AFTER_2, AFTER_3 = (
     (_find_h1m_mask("S2DC"), _find_h1m_mask("S2RC"), _find_h1m_mask("S2LC")),
     (_find_h1m_mask("S3DC"), _find_h1m_mask("S3RC"), _find_h1m_mask("S3LC")),
 )
-"""DCC, clear RP, clear LP."""
+"""Mode bits after step 2 and after step 3 of the search: assert DCC, clear RP, clear LP."""
 SAND, LCLR, RCLR, HTME = _find_h2m_mask("SAND"), _find_h2m_mask("LCLR"), _find_h2m_mask("RCLR"), _find_h2m_mask("HTME")
 HTM = MCX514_MAP.bit("H2M", "HTM")
 CLOCKS_PER_MS = 16_000

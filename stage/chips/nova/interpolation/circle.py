@@ -13,9 +13,9 @@ from stage.native import hot, least
 FAST_AXIS = (1, 0, 0, 1, 1, 0, 0, 1)
 """The faster axis of an octant; octants count counter-clockwise from +X."""
 FAST_DIRECTION = (1, -1, -1, -1, -1, 1, 1, 1)
-"""The direction of its steps."""
+"""Direction of the steps of the faster axis, by octant."""
 SLOW_DIRECTION = (-1, 1, -1, -1, 1, -1, 1, 1)
-"""The direction of the slower axis' steps."""
+"""Direction of the steps of the slower axis, by octant."""
 OCTANT_END_TICKS = 4  # ticks next to the end of an octant, which are made one by one
 
 

@@ -11,10 +11,10 @@ from stage.chips.register_map import Field, Word
 AXES = "XYZU"
 LEVELS = ("low", "high")
 DCC_WIDTHS = (10, 20, 100, 200, 1000, 2000, 10_000, 20_000)
-"""Of the deviation counter clear output, us, by its code."""
+"""Pulse width of the deviation counter clear output, us, by its code."""
 Range = tuple[int, int] | None
 Values = tuple[str, ...] | Mapping[int, str]
-"""What the values of a field say: from 0 on, or by value."""
+"""Meanings of the values of a field: a sequence from 0 on, or a mapping by value."""
 
 
 def format_times(microseconds: Iterable[int]) -> tuple[str, ...]:

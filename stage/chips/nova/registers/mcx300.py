@@ -12,10 +12,10 @@ from stage.chips.nova.registers.mcx300_words import EM, HM, list_mcx314as_words,
 from stage.chips.register_map import ChipCommand, Register, RegisterMap, make_read_command, make_write_command
 
 RANGE = 8_000_000
-"""R of multiple 1."""
+"""Value of the range register R for which the multiple is 1."""
 SPEED, CURVE = (1, 8000), (1, 65535)
 RESET = 0x8000
-"""WR0 that resets the chip."""
+"""Value of WR0 that resets the chip."""
 CHIPS = ("MCX304", "MCX302", "MCX312")
 INTERPOLATING = ("MCX312",)
 NO_ACTIONS = "no synchronous action comes"
@@ -60,7 +60,7 @@ PRESENT = (
     Register("CV", 0x12, 16, "R", "current speed", evidence="C", note="m CV pps"),
     Register("CA", 0x13, 16, "R", "current acceleration / deceleration", evidence="C", note="125 m CA pps/s"),
 )
-"""What can only be read."""
+"""Registers that a host can only read."""
 INTERPOLATION_REGISTERS = ("C", "L")
 """Registers that only interpolating chips have."""
 

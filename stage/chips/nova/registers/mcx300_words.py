@@ -27,10 +27,10 @@ HOME_STATES = {
     12: "step 2: waits for the end of STOP1", 15: "step 2: waits for STOP1", 20: "step 3: waits for STOP2",
     25: "step 4: offset drive",
 }  # fmt: skip
-"""HMST of RR2."""
+"""Meanings of the field HMST of RR2, the state of the home search."""
 
 DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)
-"""Of the input filters, us, by FL of WR3."""
+"""Delays of the input filters, us, by the field FL of WR3."""
 
 
 def _make_home_fields(shift: int = 0) -> tuple[Field, ...]:
@@ -200,7 +200,7 @@ BIT_PATTERN = tuple(
          make_bits("BP", 15, 0, "16 steps, bit 0 first"), access="W", note=f"WR{k + 2} after 36h")
     for k in range(4)
 )  # fmt: skip
-"""What WR2 to WR5 are while BP writing is enabled."""
+"""Words that take the place of WR2 to WR5 while writing of bit patterns is enabled."""
 
 
 def _make_main_status_word(axes: int, interpolates: bool) -> Word:

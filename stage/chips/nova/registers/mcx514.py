@@ -18,12 +18,12 @@ POINT = (-1_073_741_823, 1_073_741_823)
 CONTINUOUS_SPEED = 4_000_000
 """Highest drive speed in continuous interpolation, pps."""
 NO_MAXIMUM = 0xFFFF_FFFF
-"""LX, RX: no ring."""
+"""Value of LX and RX with which a position counter does not wrap at a maximum."""
 READ_CODES = {
     "LP": 0x30, "RP": 0x31, "MR0": 0x34, "MR1": 0x35, "MR2": 0x36, "MR3": 0x37, "TX": 0x39, "HLV": 0x3B, "MRM": 0x40,
     "P1M": 0x41, "P2M": 0x42, "P3M": 0x49, "AC": 0x43, "SV": 0x44, "DV": 0x45, "TP": 0x46, "SP1": 0x47,
 }  # fmt: skip
-"""Commands that read back what another wrote."""
+"""Codes of the commands that read back a register, by the name of the register."""
 NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
 """Registers of the chip, not of an axis: their commands carry no axis bits."""
 
@@ -84,7 +84,7 @@ PRESENT = (
         "UI", 0x48, 32, "R", "general inputs", evidence="C", note="RR7 the PIN pins, RR6 the data bus pins in I2C mode"
     ),
 )
-"""What can only be read."""
+"""Registers that a host can only read."""
 _PAGES = {"DV": "S", "TX": "D"}
 
 

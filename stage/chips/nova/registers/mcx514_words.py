@@ -62,7 +62,7 @@ FACTORS = (
     "split pulse start", "split pulse end", "split pulse output", "PIOm rises", "PIOm falls", "PIOm rises, PIO(m+4) low",
     "PIOm rises, PIO(m+4) high", "PIOm falls, PIO(m+4) low", "PIOm falls, PIO(m+4) high",
 )  # fmt: skip
-"""PREV of SmM."""
+"""Meanings of the field PREV of SmM, the activation factor of a synchronous action set."""
 ACTIONS = (
     "none", "MRm -> DV", "MRm -> TP", "MRm -> SP1", "MRm -> LP, RP, SV, AC (m = 0, 1, 2, 3)", "LP -> MRm", "RP -> MRm",
     "CT -> MRm", "CV, CA -> MRm (m = 0, 1)", "sync pulse on PIOm", "relative drive", "counter relative drive",
@@ -70,7 +70,7 @@ ACTIONS = (
     "decelerating stop", "instant stop", "speed increase", "speed decrease", "timer start", "timer stop",
     "split pulse start", "split pulse stop",
 )  # fmt: skip
-"""ACT of SmM."""
+"""Meanings of the field ACT of SmM, the action of a synchronous action set."""
 HOME_STATES = {
     0: "idle", 3: "step 1: waits for the signal", 6: "timer between steps 1 and 2",
     11: "step 2 irregular: waits for the signal in the other direction",
@@ -78,12 +78,12 @@ HOME_STATES = {
     20: "step 2: waits for the signal", 23: "timer or DCC between steps 2 and 3", 28: "step 3: waits for STOP2",
     32: "timer or DCC between steps 3 and 4", 36: "step 4: offset drive",
 }  # fmt: skip
-"""HSST of RR3 page 0."""
+"""Meanings of the field HSST of RR3 page 0, the state of the home search."""
 
 HOME_TIMES = (1, 2, 10, 20, 100, 200, 500, 1000)
-"""Of the timer between the steps of a home search, ms, by HTM of H2M."""
+"""Times of the timer between the steps of a home search, ms, by the field HTM of H2M."""
 SYNC_CLOCKS = (2, 5, 16, 64, 256, 1024, 4096, 16_000)
-"""Of a sync pulse, by PW of P2M."""
+"""Clocks that a sync pulse takes, by the field PW of P2M."""
 SYNC_WIDTHS = ("125 ns", "312 ns", *format_times(n // 16 for n in SYNC_CLOCKS[2:]))
 FILTERS = tuple(f"{0.5 * 2**n:g} us" for n in range(16))
 
