@@ -107,7 +107,7 @@ class Config(MachineSettings):
     unreported_weight: Weight = 5.0
 
 
-def action_of(
+def make_action(
     search: float = 8000.0,
     ramp: float = 0.1,
     approach: float = 400.0,
@@ -387,7 +387,7 @@ class DriftingHome(MachineTask[Config]):
             failures: Number of failed returns in a row.
         """
         approach = USUAL["approach"] / (2 if failures else 1)
-        return action_of(leave=LEAVE if on_org else 0, approach=approach, report=failures >= 2)
+        return make_action(leave=LEAVE if on_org else 0, approach=approach, report=failures >= 2)
 
 
 class DriftingHomeEnv(StageEnv):

@@ -112,7 +112,7 @@ class Config(MachineSettings):
     vibration_weight: Weight = 0.02
 
 
-def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
+def make_action(start: float, drive: float, up: float, down: float) -> np.ndarray:
     """Return the action that stands for these values. A value beyond RATES counts as the end of its range.
 
     Args:
@@ -256,14 +256,14 @@ class FewShotTuning(MachineTask[Config]):
             compute_speeds(self.load.add_mass(payload), int(self.distance[stage_index])),
             int(self.distance[stage_index]),
         )
-        rate = self.decode_action(action_of(*move[:4]), distance)
+        rate = self.decode_action(make_action(*move[:4]), distance)
         start, top, up, down = rate
         took = up + down + (distance - (up + down) * (start + top) / 2) / top
         self.formula[stage_index] = *rate, took
 
     def scripted_action(self) -> np.ndarray:
         """Return the actions of the engineer's formula (stage.tune.formula), the same for every attempt."""
-        return np.stack([action_of(*row[:4]) for row in self.formula])
+        return np.stack([make_action(*row[:4]) for row in self.formula])
 
     def prepare_next_step(self) -> None:
         for k in np.flatnonzero(self.undiverged_stages & ~self.results["terminated"]):
@@ -337,7 +337,7 @@ class FewShotTuning(MachineTask[Config]):
             rows.append([values[name] for name in self.names])
         return np.array(rows, np.int64)
 
-    def _compute_gain(self, attempts: np.ndarray) -> np.ndarray:
+    def _compute_answer_value(self, attempts: np.ndarray) -> np.ndarray:
         """Compute the value of the answer of each stage, (n,), after `attempts` attempts on it, (n,)."""
         return self._compute_value(self._get_answer_costs(attempts).min(axis=1))
 
@@ -366,15 +366,15 @@ class FewShotTuning(MachineTask[Config]):
         good = self.undiverged_stages
         cost = outcome.duration + c.vibration_weight * outcome.vibration / TENTH_MM
         rows, indices = self.to_registers(self.actions), np.flatnonzero(good)
-        before = self._compute_gain(self.steps - 1)
+        before = self._compute_answer_value(self.steps - 1)
         self.cost[indices, self.steps[indices] - 1] = np.where(outcome.in_step, cost, np.inf)[indices]
         self.rows[indices, self.steps[indices] - 1] = rows[indices]
-        gain, last = self._compute_gain(self.steps) - before, self.steps >= c.tries
+        gain, last = self._compute_answer_value(self.steps) - before, self.steps >= c.tries
         proved = self._find_best_proved_cost(good & last)
         parts = {
             "gain": gain,
             "damage": np.where(outcome.lost | outcome.stopped, -c.damage_weight, 0.0),
-            "proof": np.where(good & last, self._compute_value(proved) - self._compute_gain(self.steps), 0.0),
+            "proof": np.where(good & last, self._compute_value(proved) - self._compute_answer_value(self.steps), 0.0),
         }
         error = outcome.error * c.encoder
         by_encoder = outcome.finished & (np.abs(error) * ENCODER_COUNT_M <= MAX_OFFSET_M + ENCODER_COUNT_M) & c.encoder

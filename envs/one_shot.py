@@ -4,7 +4,7 @@ An episode is one machine and one distance. Machines, moves, actions, reward and
 the start rate, the drive rate and both ramps; the move is made once, and proved with `margin` kg more. An agent learns nothing
 within an episode. It has to find out in training how fast a move may be for what it knows before the move.
 
-action        Box [-1, 1]^4, as FewShotTuning's; `action_of` of few_shot.py makes one from pps and seconds
+action        Box [-1, 1]^4, as FewShotTuning's; `make_action` of few_shot.py makes one from pps and seconds
 observation   float32, -1 to 1: distance, by its logarithm; the declared payload over `payloads`, wrong by up to a share of
               `error` (truth=True adds the machine)
 reward        gain, damage and proof, as FewShotTuning's: in sum log(2 x usual time / proved cost), or 0 if the proof fails; less

@@ -20,7 +20,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from stage.envs import IDS
-from stage.envs.stage_env import StageVectorEnv, info_of
+from stage.envs.stage_env import StageVectorEnv, extract_info
 from stage.errors import ArgumentError, unknown_name_error
 
 PER_STAGE_METHODS = ("action_masks", "scripted_action")
@@ -119,10 +119,10 @@ class StageVecEnv(VecEnvAdapter):
             for k, options in enumerate(self._options):
                 mask = np.arange(self.num_envs) == k
                 observations, infos = self.envs.reset(seed=self._seeds, options={**options, "reset_mask": mask})
-                self.reset_infos[k] = info_of(infos, k)
+                self.reset_infos[k] = extract_info(infos, k)
         else:
             observations, infos = self.envs.reset(seed=self._seeds)
-            self.reset_infos = [info_of(infos, k) for k in range(self.num_envs)]
+            self.reset_infos = [extract_info(infos, k) for k in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -131,7 +131,7 @@ class StageVecEnv(VecEnvAdapter):
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
         ends, merged = terminated | truncated, []
         for k in range(self.num_envs):
-            info = info_of(infos, k)
+            info = extract_info(infos, k)
             if ends[k]:
                 last, final = info.pop("final_obs"), info.pop("final_info")
                 self.reset_infos[k], info = info, {**final, "terminal_observation": last}

@@ -411,7 +411,7 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         last = infos
         merged: dict[str, Any] = {}
         for k in range(self.num_envs):
-            info = info_of(last, k)
+            info = extract_info(last, k)
             if self._over[k]:
                 merged = self._add_info(merged, {"final_obs": observations[k].copy(), "final_info": info}, k)
                 self._task.reset_stage(k, {})
@@ -448,7 +448,7 @@ def _merge_info_columns(infos: dict[str, Any], columns: dict[str, Any]) -> None:
     infos.update(columns)
 
 
-def info_of(infos: Mapping[str, Any], stage_index: int) -> dict[str, Any]:
+def extract_info(infos: Mapping[str, Any], stage_index: int) -> dict[str, Any]:
     """Return the info of one environment from the infos of a vector environment.
 
     Args:
@@ -456,7 +456,7 @@ def info_of(infos: Mapping[str, Any], stage_index: int) -> dict[str, Any]:
         stage_index: Index of the environment.
     """
     return {
-        name: info_of(v, stage_index) if isinstance(v, dict) else _to_plain_value(v[stage_index])
+        name: extract_info(v, stage_index) if isinstance(v, dict) else _to_plain_value(v[stage_index])
         for name, v in infos.items()
         if not name.startswith("_") and infos[f"_{name}"][stage_index]
     }

@@ -226,7 +226,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         wanted = actions[:, 2:].astype(np.float64).reshape(len(actions), len(self.axes), CORRECTIONS)
         return self.line.apply_corrections(self.requested_lines, wanted[:, :rows, :columns])
 
-    def action_of(self, rate: Any, ramp: Any) -> np.ndarray:
+    def make_action(self, rate: Any, ramp: Any) -> np.ndarray:
         """Return the actions that stand for a rate and a ramp, without corrections.
 
         Args:
@@ -245,7 +245,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     def scripted_action(self) -> np.ndarray:
         """Return actions with the rate and ramp of the engineer's formula, and the data sheet's registers for them."""
-        return self.action_of(self.formula[:, 0], self.formula[:, 1])
+        return self.make_action(self.formula[:, 0], self.formula[:, 1])
 
     def make_programs(self) -> np.ndarray:
         c: Any = self.config

@@ -106,12 +106,14 @@ class Move:
             else chip_port.RAMP["FH2" if fh2 else "FH1"]
         )
         if self.kind == "dual":
-            point = max(profile.down_point(self.count, False), profile.down_point(self.count, True))
+            point = max(
+                profile.compute_ramp_down_point(self.count, False), profile.compute_ramp_down_point(self.count, True)
+            )
         elif kind.EXTENDED and self.same_ramps and self.kind != "continuous":
             control, point = control | chip_port.AUTOMATIC, 2
         else:
             profile = profile.for_distance(self.count, fh2)
-            point = profile.down_point(self.count, fh2)
+            point = profile.compute_ramp_down_point(self.count, fh2)
         if self.kind != "continuous":
             control |= chip_port.PRESET
         self.point = point

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Stage, firmware
-from stage.board import layouts
+from stage.board import bus_layouts
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, Chip, contract_check
 from stage.chips.register_map import Field, Register, Word
 from stage.firmware.pcl240.driver import Pcl240Driver
@@ -122,7 +122,7 @@ class DriverWithoutPolarity(Pcl240Driver):
     [
         ("nowhere.driver:X", "DRIVER = 'nowhere.driver:X', its driver, cannot be loaded: ModuleNotFoundError"),
         ("stage.firmware.pcl240.driver:X", "cannot be loaded: AttributeError: .*'X'"),
-        ("stage.board.layouts:LAYOUTS", "is no class below stage.firmware.driver.Driver"),
+        ("stage.board.bus_layouts:LAYOUTS", "is no class below stage.firmware.driver.Driver"),
         (f"{__name__}:NoStop", r"its driver NoStop has no halt\(\), write_stop\(\)"),
     ],
 )
@@ -133,9 +133,11 @@ def test_a_wrong_driver_is_refused_with_its_reason(driver, message):
 
 
 def test_a_wrong_layout_is_refused_with_its_name(monkeypatch):
-    monkeypatch.setattr(layouts, "LAYOUTS", {})  # a shipped family has its own
-    with pytest.raises(ArgumentError, match=r"LAYOUT = 'stage.board.layouts:BYTE' is no stage.board.layouts.Layout"):
-        layouts.make_default_layout(type("BAD", (PCL240K,), {"LAYOUT": "stage.board.layouts:BYTE"})())
+    monkeypatch.setattr(bus_layouts, "LAYOUTS", {})  # a shipped family has its own
+    with pytest.raises(
+        ArgumentError, match=r"LAYOUT = 'stage.board.bus_layouts:BYTE' is no stage.board.bus_layouts.Layout"
+    ):
+        bus_layouts.make_default_layout(type("BAD", (PCL240K,), {"LAYOUT": "stage.board.bus_layouts:BYTE"})())
 
 
 def test_a_driver_without_invertible_sensors_refuses_positive_logic():

@@ -54,8 +54,8 @@ def run_both_tests(tmp_path):
         "def test():\n    pass\n"
     )
     (tmp_path / "test_first.py").write_text(
-        "from stage.native import COMPILED, load\n\n"
-        "def test():\n    assert load._load_library.cache_info().currsize == COMPILED\n"
+        "from stage.native import COMPILED, library_loader\n\n"
+        "def test():\n    assert library_loader._load_library.cache_info().currsize == COMPILED\n"
     )
 
     def run(required: str) -> str:

@@ -13,7 +13,7 @@ from support.damage import damage, replace_value, zipped
 from support.examples import SEED, scaled
 
 from stage import Snapshot, Stage, firmware
-from stage.board import firmware_library, layouts
+from stage.board import bus_layouts, firmware_library
 from stage.board.devices.user_devices import CDevice
 from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
@@ -68,8 +68,8 @@ READERS = {
     ".snapshot": Snapshot.load,
     ".chip": ChipSnapshot.load,
     ".zip": share.read_saved_panel,
-    ".toml": layouts.read_layout,
-    ".json": layouts.read_layout,
+    ".toml": bus_layouts.read_layout,
+    ".json": bus_layouts.read_layout,
     ".elf": lambda path: Elf(path, ARM, "cortex-m3", "build it for one"),
     ".rrd": read,
 }

@@ -15,7 +15,7 @@ import pytest
 from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, PCL240K, PCL240MS
 from stage.firmware.driver import get_driver
-from stage.sim.gpu.device_code import CompilerTools
+from stage.sim.gpu.gpu_compilation import CompilerTools
 from stage.sim.gpu.gpu_fleet import make_kernels
 from stage.sim.gpu.lane_memory_layout import LaneLayout
 from stage.sim.program_player import TRUTH

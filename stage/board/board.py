@@ -18,7 +18,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from stage.board import layouts
+from stage.board import bus_layouts
 from stage.board.bus import host_record, host_requests
 from stage.board.bus.host_record import DEVICE, EIGHT, HALF, LATCH, LATCHED, NOTHING, PULLS, UPPER, WIDE, WORD
 from stage.board.bus.interrupt_controller import ANY_INTERRUPT_LINE, HIGHEST
@@ -81,7 +81,7 @@ class Board:
     def __init__(
         self,
         stage: Stage,
-        layout: str | os.PathLike | layouts.Layout | None = None,
+        layout: str | os.PathLike | bus_layouts.Layout | None = None,
         base: int | Mapping[str, int] | None = None,
         stride: int | None = None,
         *,
@@ -92,12 +92,12 @@ class Board:
             raise ArgumentError(f"{stage!r} is no Stage: Board(Stage('xyz', chips=PCL240K)).")
         if int(keep_cycles) != keep_cycles or not 1 <= keep_cycles <= MAX_CYCLES:
             raise ArgumentError(f"keep_cycles={keep_cycles!r}: a trace keeps 1 to {MAX_CYCLES} lines.")
-        layout = layouts.load_layout(layout)
+        layout = bus_layouts.load_layout(layout)
         self.stage = stage
         self.options = {"layout": layout, "base": base, "stride": stride, "keep_cycles": keep_cycles}
         chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
-        self.places = layouts.assign_ports(chips, layout, _map_bases_to_chips(stage, base), stride)
-        self.regions, self.port_table = layouts.make_port_table(self.places)
+        self.places = bus_layouts.assign_ports(chips, layout, _map_bases_to_chips(stage, base), stride)
+        self.regions, self.port_table = bus_layouts.make_port_table(self.places)
         self._initial_chips = [place.chip.make_replica() for place in self.places]
         self.trace = BusTrace(self, int(keep_cycles))
         stage.host = HostWaveforms(self)
@@ -326,7 +326,7 @@ class Board:
             for n, port in enumerate(device.ports):
                 wide = device.width == 16
                 rows[port] = (DEVICE, k, n // 2 if wide else n, EIGHT if not wide else UPPER if n % 2 else WIDE)
-        self.regions, self.port_table = layouts.make_port_table(self.places, rows)
+        self.regions, self.port_table = bus_layouts.make_port_table(self.places, rows)
         self.link.publish_ports()
 
     def _find_free_port(self, n: int) -> int:
@@ -421,7 +421,7 @@ class Board:
 
     def _list_ports(self) -> list[tuple[int, Any]]:
         """Return each port that reaches a chip or device, with its PORT record."""
-        pairs = zip(layouts.list_port_numbers(self.regions).tolist(), self.port_table, strict=True)
+        pairs = zip(bus_layouts.list_port_numbers(self.regions).tolist(), self.port_table, strict=True)
         return [(port, p) for port, p in pairs if p["kind"]]
 
     def add_log_line(self, text: str) -> None:

@@ -81,7 +81,7 @@ class BusStruct(ctypes.Structure):
     _fields_ = (("abi", ctypes.c_uint32), ("size", ctypes.c_uint32), ("host", ctypes.c_void_p), ("request", REQUEST))
 
 
-def include() -> Path:
+def get_include_folder() -> Path:
     """Return the folder of pulsestage.h."""
     return Path(__file__).parent
 
@@ -158,12 +158,15 @@ def build(
     with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
         if metered:
             meter = f"{folder}/meter.o"
-            _compile(METER, [*find_compiler().split(), "-c", "-fPIC", "-O2", f"-I{include()}", str(METER), "-o", meter])
+            _compile(
+                METER,
+                [*find_compiler().split(), "-c", "-fPIC", "-O2", f"-I{get_include_folder()}", str(METER), "-o", meter],
+            )
             flags = ("-fsanitize-coverage=trace-pc", meter, *flags)
         recipe = platforms.make_recipe(
             target, files, Path(folder), lambda source, more: _needs_cplusplus(source, more, flags, folder), flags
         )
-        common = ["-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}"]
+        common = ["-fPIC", "-O2", "-g", *recipe.flags, f"-I{get_include_folder()}"]
         messages, objects = [], []
         for k, source in enumerate(recipe.c_files):
             objects.append(f"{folder}/{k}-{source.stem}.o")
@@ -260,7 +263,14 @@ def _is_loaded(symbol: str) -> bool:
 
 def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> bool:
     """Return whether a C source includes a header of its platform that is written in C++ here."""
-    command = [*find_compiler().split(), "-E", *platform_flags, f"-I{include()}", *_select_c_flags(flags), str(source)]
+    command = [
+        *find_compiler().split(),
+        "-E",
+        *platform_flags,
+        f"-I{get_include_folder()}",
+        *_select_c_flags(flags),
+        str(source),
+    ]
     command += ["-o", f"{folder}/preprocessed"]
     return platforms.IS_CPLUSPLUS in run_program(command).stderr
 

@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from stage.board.bus_layouts import MAX_PORTS
 from stage.board.crash_report import IS_SUPPORTED
-from stage.board.layouts import MAX_PORTS
 from stage.errors import ArgumentError
 
 FORM = "ADDRESS=PORT+LENGTH, for example 0x40021000=0x300+0x40"

@@ -5,7 +5,7 @@ r"""`SerialLine`: the serial line of a host in memory. `SerialPort`: its other e
     host.serial.expect(r"MPos:(-?[0-9.]+)")
 
 Bytes move while the firmware is paused, at a simulated time, so that the same script gives the same bits each time. Ends for
-programs outside of the simulation (a pseudo-terminal, a TCP port) are in `stage.board.serial_ends`.
+programs outside of the simulation (a pseudo-terminal, a TCP port) are in `stage.board.serial_pty_and_tcp`.
 """
 
 from __future__ import annotations

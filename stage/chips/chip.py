@@ -159,57 +159,57 @@ class Chip(DeclaredAttributes):
     INPUTS: ClassVar[dict[str, int]]
     OUTPUTS: ClassVar[dict[str, int]]
     COUNTER: ClassVar[tuple[str, int]]
-    """The register that counts the pulses for the host, and its bits."""
+    """Name of the register that counts the pulses for the host, and its number of bits."""
     TRACED: ClassVar[dict[str, tuple[str, int]]] = {}
-    """What else waveforms show: register, or a name for it -> field of the core's EDGE, bits."""
+    """Further signals of waveforms: name of a register or of a signal -> field of the core's EDGE record, number of bits."""
     AXES: ClassVar[int] = 1
     WIRING: ClassVar[dict[str, str]] = {}
-    """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
+    """Pin to which each switch of a stage is wired, if its name differs from that of the switch; see `find_switch_input`."""
     WIRES: ClassVar[dict[str, tuple[str, int]]] = {}
-    """Pin -> (name on the wire, level while asserted). As HDL people write it, `_n` marks a signal that is active low. A pin that
-    is not there shows under its own name in capitals, 1 = asserted."""
+    """Pin -> (name of the signal in waveforms, level while asserted). As in hardware description languages, `_n` marks a signal
+    that is active low. A pin without an entry appears under its own name in capitals, with 1 for asserted."""
     PHASES: ClassVar[dict[str, str]] = {}
-    """Output pin -> phase of the chip: hold, up, keep, down; idle, profile, control of a servo. The first that is asserted counts;
-    hold if none is, or control of a servo."""
+    """Output pin -> motion phase that the pin shows: hold, up, keep, down; for a servo idle, profile, control. The first asserted
+    pin determines the phase; if none is asserted, the phase is hold, or control for a servo."""
     LOGIC: ClassVar[str] = "negative"
-    """The logic of sensors that it takes as asserted after a reset: low ("negative") or high ("positive") while they are on."""
+    """Logic of the sensors that the chip expects after a reset: signals low ("negative") or high ("positive") while they are on."""
     SYNCHRO: ClassVar[bool] = False
-    """Has SYNO and SYNI, by which chips share one's clock; see `syno`."""
+    """Whether the chip has the pins SYNO and SYNI, by which chips share the clock of one chip; see `find_syno_address`."""
     MULTICHIP: ClassVar[bool] = False
-    """Has the lines by which chips interpolate together, see stage/chips/linked_chips.py: its core answers `says` and `silent`."""
+    """Whether the chip has the lines by which several chips interpolate together, see stage/chips/linked_chips.py."""
     SERVO: ClassVar[bool] = False
-    """Drives a DC motor with an encoder, not a stepper."""
+    """Whether the chip drives a DC motor with an encoder, not a stepper."""
     ENCODERS: ClassVar[bool] = False
-    """Its axes have inputs for an encoder, and the axes need not have one; see `Chip.set_shaft` of these."""
+    """Whether the axes of the chip have inputs for an encoder, which is optional; see `Chip.set_shaft`."""
     IN_POSITION: ClassVar[float] = 4.0
-    """Default tolerance, pulses: an axis so close to its goal has arrived."""
+    """Default tolerance, pulses, within which an axis has arrived at its goal."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
     MAX_CLOCK_HZ: ClassVar[int] = 100_000_000
     """Fastest reference clock that is emulated, Hz."""
     CLOCK_RANGE: ClassVar[tuple[int, int]] = (1, 100_000_000)
-    """The reference clocks, Hz, that its makers allow; with another one it works here and says so in `diagnostics`."""
+    """Range of reference clocks, Hz, that the data sheet allows. The emulation accepts others, and adds a diagnostic."""
     CLOCK_SOURCE: ClassVar[str] = "clock"
-    """Where that is written."""
+    """Section of the data sheet that states CLOCK_RANGE."""
     ADDRESSES: ClassVar[int] = 4
-    """Bus addresses: 0 up to ADDRESSES - 1."""
+    """Number of bus addresses, which are 0 to ADDRESSES - 1."""
     ADDRESS_MASK: ClassVar[int] = 3
-    """The address lines that the chip looks at."""
+    """Mask of the address lines that are connected to the chip."""
     DATA_MASK: ClassVar[int] = 0xFF
     READING_ACTS: ClassVar[frozenset[int]] = frozenset()
-    """Bus addresses at which a read cycle changes something, in some mode at least: journals note these cycles."""
+    """Bus addresses at which a read cycle can change the state of the chip; journals note these cycles."""
     IRQ: ClassVar[tuple[int, int]] = (0, 0)
-    """The outputs that ask a host for attention: of which axis' pins (-1: those of no axis), and their bits."""
+    """Interrupt outputs: the axis to whose pins they belong (-1: pins of no axis), and their bits in the output word."""
     DRIVER: ClassVar[str] = ""
-    """Who speaks to the chip as a host: "package.module:Class" of a `stage.firmware.driver.Driver`, loaded when it is needed."""
+    """Host driver of the chip: "package.module:Class" of a `stage.firmware.driver.Driver`, which is loaded when it is needed."""
     MICROSTEPS: ClassVar[int] = 0
-    """Pulses a full step, of a chip that drives its motor itself; 0: that is the business of the stage's Drive."""
+    """Pulses per full step of a chip that drives its motor itself; 0 for chips whose motors are driven by the stage's Drive."""
     LAYOUT: ClassVar[str] = ""
-    """How it lies on the bus of a host: "package.module:NAME" of a `stage.board.layouts.Layout`, loaded when it is needed. Default:
-    one address after the other."""
+    """Layout of the chip on a host's bus: "package.module:NAME" of a `stage.board.bus_layouts.Layout`, which is loaded when it is
+    needed. Default: one address after the other."""
     BUSY: ClassVar[tuple[int, int]]
-    """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
+    """Status bit that shows a drive in progress: bus address, and the number of the bit of axis 0."""
     lock: SessionLock | None = None
-    """Lock that its bus cycles take while threads share the stage, see `share`."""
+    """Lock that bus cycles of the chip hold while several threads use its stage, see `set_lock`; None without a session."""
 
     def __init__(self, clock_hz: int | None = None):
         """Power the chip up.
@@ -232,11 +232,11 @@ class Chip(DeclaredAttributes):
         self._bus: Bus | None = None
         self._alone: tuple[np.ndarray, int] | None = None  # where its state was before `attach` moved it
         self.open_journal: Journal | None = None
-        """The journal that notes the inputs of the chip, the newest where there are several; see `journal`."""
+        """Journal that notes the inputs of the chip, the newest one if several are open; None if none is. See `journal`."""
         self.journal_lint: JournalLint | None = None
-        """The lint that reads a journal, where compiled code makes the bus cycles."""
+        """Lint that checks the writes of a journal, for chips whose bus cycles compiled code makes; else None."""
         self.glitches: tuple[Callable[[int, int], bool], ...] = ()
-        """Faults of the bus: each is called with (address, value) before every write; if it returns True, the write is lost."""
+        """Faults of the bus: functions (address, value) called before every write; if one returns True, the write is lost."""
         self._use_record(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._record)
         self.CORE.power_up.with_gil(self._address)
@@ -434,7 +434,7 @@ class Chip(DeclaredAttributes):
         if self.open_journal is not None:
             self.open_journal.note_shaft(self.clock, axis, count, rate)
 
-    def shaft_of(self, axis: int) -> tuple[float, float]:
+    def get_shaft(self, axis: int) -> tuple[float, float]:
         """Return the count and the rate of the last call of `set_shaft` for an axis: edges, and edges per reference clock.
 
         Args:

@@ -27,7 +27,7 @@ from stage.errors import ArgumentError, add_article
 def add_subcommand(commands: Any) -> None:
     """Add `stage move`, `stage dual-rate` and `stage sync` to argparse's subparsers."""
     p = add_command(
-        commands, "move", move, "move an axis by pulses or by a distance",
+        commands, "move", run_move, "move an axis by pulses or by a distance",
         "Move by a number of pulses, or by a distance, and stop on the last pulse. With a PCL-240 it is a preset move: R0 counts "
         "the pulses down, and the ramp-down point R6 follows from the data sheet's formula, or the chip finds it itself.",
         ("stage move x 10mm --speed 50mm/s", "move by 10 mm at 50 mm/s"),
@@ -43,7 +43,7 @@ def add_subcommand(commands: Any) -> None:
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
     p = add_command(
-        commands, "dual-rate", dual_rate, "change the rate within one move of an axis",
+        commands, "dual-rate", run_dual_rate_move, "change the rate within one move of an axis",
         "Ramp to FH1, change to FH2 in motion, change back, and stop on the last pulse. --rates sets another order of FL, FH1 and "
         "FH2: FL,FH1 is the data sheet's dual rate mode (1), which ramps up; FH1,FL is mode (2), which ramps down. Only the "
         "PCL-240 family has these modes.",
@@ -67,7 +67,7 @@ def add_subcommand(commands: Any) -> None:
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
     p = add_command(
-        commands, "sync", sync, "move several axes along a straight line",
+        commands, "sync", run_synchronized_move, "move several axes along a straight line",
         "Move several axes along a straight line. Their rates are in the ratio of the distances, their ramps take equal times, and "
         "they start one after the other. Chips with interpolation use it instead.",
         ("stage sync x=20000 y=-7500", "move two axes"),
@@ -96,14 +96,14 @@ def _add_axis_and_distance(p: argparse.ArgumentParser) -> None:
     )
 
 
-def move(args: argparse.Namespace) -> int:
+def run_move(args: argparse.Namespace) -> int:
     """Move an axis; return 0 if it has moved as requested."""
     from stage import firmware
 
     return _run_on_axis(args, lambda axis, pulses, speeds: firmware.move(axis, pulses=pulses, speed=speeds))
 
 
-def dual_rate(args: argparse.Namespace) -> int:
+def run_dual_rate_move(args: argparse.Namespace) -> int:
     """Move an axis at two rates; return 0 if it has moved as requested."""
     from stage.firmware.driver import get_driver
     from stage.firmware.procedures import move_at_two_rates
@@ -170,7 +170,7 @@ def _warn_of_tandem(args: argparse.Namespace, axis: Any, left: Sequence[str], it
     )
 
 
-def sync(args: argparse.Namespace) -> int:
+def run_synchronized_move(args: argparse.Namespace) -> int:
     """Move several axes along a line; return 0 if they have moved as requested."""
     from stage import firmware
     from stage.firmware.driver import get_driver

@@ -343,10 +343,10 @@ def _make_host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> 
 
 def print_include_folder(args: argparse.Namespace) -> int:
     """Print the folder of pulsestage.h."""
-    from stage.board.firmware_library import include
+    from stage.board.firmware_library import get_include_folder
 
-    add_facts(args, include=include())
-    print(include())
+    add_facts(args, include=get_include_folder())
+    print(get_include_folder())
     return 0
 
 

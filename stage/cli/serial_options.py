@@ -61,7 +61,7 @@ def open_serial_end(args: argparse.Namespace) -> Iterator[Any]:
 
         end = read_script(args.serial_script)
     elif args.serial is not None:
-        from stage.board.serial_ends import open_end
+        from stage.board.serial_pty_and_tcp import open_end
 
         end = open_end(args.serial)
         print(f"serial line: {end.describe()}", file=sys.stderr if args.json else sys.stdout, flush=True)

@@ -33,7 +33,7 @@ TRACE = record([(name, "f8") for name in "count theta omega torque current_a cur
 Floats = Sequence[float] | np.ndarray
 
 
-class PullOut(NamedTuple):
+class PullOutCurve(NamedTuple):
     """Pull-out curve: the largest torque at each speed with which a motor keeps step.
 
     Attributes:
@@ -477,7 +477,7 @@ def sweep_resonance(
 
 def tabulate_pull_out(
     drive: Drive, rpm: Floats | None = None, progress: Callable[[float], None] | None = None
-) -> PullOut:
+) -> PullOutCurve:
     """Compute all curves of a pull-out plot. `print` shows the result as a table.
 
     The ideal sine drive has 256 microsteps and no detent torque.
@@ -495,7 +495,7 @@ def tabulate_pull_out(
         if progress:
             progress((k + 1) / len(speeds))
     m, v, i = drive.motor, drive.bus_voltage, drive.amplitude
-    return PullOut(
+    return PullOutCurve(
         speeds, simulated, ideal_drive,
         compute_closed_form(m, v, i, speeds), compute_closed_form(m, 4 / math.pi * v, i, speeds),
         compute_voltage_and_current_bound(m, v, i, speeds), m.steps_per_turn,

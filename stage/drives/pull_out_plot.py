@@ -7,7 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from stage.drives.dynamometer import PullOut, compute_closed_form, compute_voltage_and_current_bound, simulate_pull_out
+from stage.drives.dynamometer import (
+    PullOutCurve,
+    compute_closed_form,
+    compute_voltage_and_current_bound,
+    simulate_pull_out,
+)
 from stage.drives.motor_tolerances import vary_motor
 from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_pull_out_curves import PUBLISHED_CURVES, PublishedCurve
@@ -46,7 +51,7 @@ def _compute_closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, 
     )
 
 
-def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwrite: bool = False) -> Any:
+def plot_pull_out(drive: Drive, table: PullOutCurve, path: str | None = None, overwrite: bool = False) -> Any:
     """Plot the simulated pull-out torque of one motor over speed, together with the closed forms.
 
     If the motor has a published curve, the plot shows that curve and the simulation with the curve's settings. Otherwise it shows

@@ -8,7 +8,7 @@
 
 The sources are plain Python over records, scalars and arrays: no allocation, no strings, no exceptions. When a package is built
 (library_builder.py), numba types them, LLVM makes one object of each part (object_emitter.py) and a linker one shared library,
-`_native.so` in the package's folder. At run time load.py loads it with ctypes, if its manifest
+`_native.so` in the package's folder. At run time library_loader.py loads it with ctypes, if its manifest
 (library_manifest.py) says that it was built from these sources for this machine. With NUMBA_DISABLE_JIT=1 the same functions run
 as plain Python, to the same bits: for debugging, coverage and fuzzing.
 

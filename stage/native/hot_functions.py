@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.native import load, record_dtypes
+from stage.native import library_loader, record_dtypes
 from stage.native.compile_mode import COMPILED, EMITTING
 
 if EMITTING:
@@ -179,7 +179,7 @@ class Exported:
     def address(self) -> int:
         """Address of the function, for tables of functions."""
         if COMPILED:
-            return load.find_function_address(self.module, self.symbol)
+            return library_loader.find_function_address(self.module, self.symbol)
         self.numbered[len(self.numbered) + 1] = self
         return len(self.numbered)
 

@@ -2,7 +2,7 @@
 
 This module draws no page.
 
-    scope = Oscilloscope(sampler, ["x/rate", "x/org"], span=0.5)
+    scope = Oscilloscope(sampler, ["x/rate", "x/org"], window_s=0.5)
     scope.set_trigger("normal", "x/org", rising=True)
     frame = scope.frame(600)            frame.curves["x/rate"]: (times, values) for 600 columns of pixels
 
@@ -62,35 +62,35 @@ class Oscilloscope:
     Args:
         sampler: Source of the samples.
         names: Names of the traces to show.
-        span: Length of the time window, s.
+        window_s: Length of the time window, s.
 
     Raises:
-        ArgumentError: A trace is unknown, or `span` is out of range.
+        ArgumentError: A trace is unknown, or `window_s` is out of range.
     """
 
-    def __init__(self, sampler: Sampler, names: Sequence[str] = (), span: float = 2.0):
+    def __init__(self, sampler: Sampler, names: Sequence[str] = (), window_s: float = 2.0):
         self.sampler = sampler
         self.names: list[str] = []
         self.select_traces(names)
         self.mode, self.source, self.rising, self.level = "free", "", True, 0.5
-        self._running, self._window = True, (0.0, span)
+        self._running, self._window = True, (0.0, window_s)
         self._trigger_time: float | None = None
-        self.set_span(span)
+        self.set_window_length(window_s)
         self.arm()
 
     def select_traces(self, names: Sequence[str]) -> None:
         """Show the traces with these names. Raises ArgumentError, with similar names, for an unknown trace."""
         self.names = [self.sampler.find_trace(name).name for name in names]
 
-    def set_span(self, span: float) -> None:
-        """Set the length of the time window, s. Raises ArgumentError if `span` is out of range."""
-        if not MIN_SPAN_S <= span <= MAX_AGE_S:
-            raise ArgumentError(f"span={span!r}: a window of {MIN_SPAN_S:g} to {MAX_AGE_S:g} s.")
-        self.span = float(span)
+    def set_window_length(self, window_s: float) -> None:
+        """Set the length of the time window, s. Raises ArgumentError if `window_s` is out of range."""
+        if not MIN_SPAN_S <= window_s <= MAX_AGE_S:
+            raise ArgumentError(f"window_s={window_s!r}: a window of {MIN_SPAN_S:g} to {MAX_AGE_S:g} s.")
+        self.window_s = float(window_s)
         if self._running:
             return
         end = self._window[1]
-        self._window = (end - span, end) if self._trigger_time is None else self._compute_window(self._trigger_time)
+        self._window = (end - window_s, end) if self._trigger_time is None else self._compute_window(self._trigger_time)
 
     def set_trigger(self, mode: str, source: str = "", rising: bool = True, level: float = 0.5) -> None:
         """Set the event that triggers a new picture.
@@ -141,7 +141,7 @@ class Oscilloscope:
 
     def _move_window(self, now: float) -> None:
         """Move the time window to the newest trigger, or to time `now`, s, as the trigger mode demands."""
-        newest = now - self.span, now
+        newest = now - self.window_s, now
         if now < self._last_time:  # time has gone back: what was shown is not any more
             self._armed_at, self._trigger_time, self._window = now, None, newest
         self._last_time = now
@@ -154,11 +154,11 @@ class Oscilloscope:
                 self._trigger_time, self._window = trigger, self._compute_window(trigger)
                 self._armed_at = self._window[1]
                 self._running = self.mode != "single" or now < self._window[1]
-            elif self.mode == "auto" and now - self._armed_at > max(AUTO_TIMEOUT_S, self.span):
+            elif self.mode == "auto" and now - self._armed_at > max(AUTO_TIMEOUT_S, self.window_s):
                 self._trigger_time, self._window = None, newest
 
     def _compute_window(self, trigger: float) -> tuple[float, float]:
-        return trigger - BEFORE * self.span, trigger + (1 - BEFORE) * self.span
+        return trigger - BEFORE * self.window_s, trigger + (1 - BEFORE) * self.window_s
 
     def _find_trigger(self, now: float) -> float | None:
         """Return the time, s, of the trigger since `arm` to show, or None if there was no trigger.
@@ -168,7 +168,7 @@ class Oscilloscope:
         times = self._list_triggers(now)
         if not len(times):
             return None
-        full = times[times + (1 - BEFORE) * self.span <= now]
+        full = times[times + (1 - BEFORE) * self.window_s <= now]
         return float(full[-1] if len(full) and self.mode != "single" else times[0])
 
     def _list_triggers(self, now: float) -> np.ndarray:

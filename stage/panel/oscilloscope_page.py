@@ -44,7 +44,7 @@ class OscilloscopeView:
         traces = self.sampler.traces
         usual = [n for n in traces if n.endswith(("/position", "/rate"))][:4]
         org = [n for n in traces if n.endswith("/org")][:1]
-        self.scope = Oscilloscope(self.sampler, usual + org, span=5.0)
+        self.scope = Oscilloscope(self.sampler, usual + org, window_s=5.0)
         self._drawn: tuple | None = None
         self._requested_trigger: tuple | None = None
         self._flat, self._drawn_at = False, 0.0
@@ -58,7 +58,7 @@ class OscilloscopeView:
                 self.run_button.props("dense outline no-caps data-test=run")
                 self.run_button.tooltip("freeze the picture, or let it follow the time; nothing stops")
                 spans = {s: f"{s * 1e3:g} ms" if s < 1 else f"{s:g} s" for s in SPANS}
-                self._build_select("window", "span", 100, spans, self.scope.span, self._set_span)
+                self._build_select("window", "span", 100, spans, self.scope.window_s, self._set_span)
                 self.mode = self._build_select("trigger", "mode", 104, modes, "free", self._set_trigger)
                 self.traces = self._build_select(
                     "traces", "traces", 96, titles, self.scope.names, self._select_traces, True
@@ -105,7 +105,7 @@ class OscilloscopeView:
         self.scope.running = not self.scope.running
 
     def _set_span(self, event: Any) -> None:
-        self.scope.set_span(event.value)
+        self.scope.set_window_length(event.value)
 
     def _select_traces(self, event: Any) -> None:
         self.scope.select_traces(event.value)

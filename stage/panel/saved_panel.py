@@ -26,7 +26,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from stage.board import layouts
+from stage.board import bus_layouts
 from stage.board.bus.host_record import BYTE, LATCH, LATCHED, WORD
 from stage.chips.journal_entries import READ, WRITE, Entry
 from stage.errors import ArgumentError, StageError
@@ -193,7 +193,9 @@ def to_pytest(panel: Panel, saved: SavedPanel, now: int) -> str:
 def to_c(panel: Panel, saved: SavedPanel, now: int) -> str:
     """Export the program as C firmware for `stage run` with the same bus cycles, exact to a microsecond. See `to_python`."""
     _check_program_can_be_written(saved)
-    places = {p.index: p for p in layouts.assign_ports(dict(enumerate(panel.session.stage.chips)), None, None, None)}
+    places = {
+        p.index: p for p in bus_layouts.assign_ports(dict(enumerate(panel.session.stage.chips)), None, None, None)
+    }
     lines = []
     for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True):
         calls = "".join(f" {call};" for call in _write_port_calls(places[s.chip], s))

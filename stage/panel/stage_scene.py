@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import ui
 
 from stage.panel.browser_updates import BrowserUpdates
-from stage.recording.geom_archetypes import find_color, find_floor, find_triangles, is_visible
+from stage.recording.rerun_geoms import find_color, find_floor, find_triangles, is_visible
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel

@@ -101,7 +101,7 @@ class StageView:
 
 
 @dataclass
-class Action:
+class SessionAction:
     """Function that lets time pass on the stage, waiting for the worker or under way; `stopped`: it is to end."""
 
     name: str
@@ -138,8 +138,8 @@ class StageThread:
         self._work = threading.Condition()  # its lock is re-entrant: signal handlers may interrupt a thread that has it
         self._has_work = False
         self._orders: deque[tuple[Order, Future]] = deque()
-        self._actions: deque[Action] = deque()
-        self._acting: Action | None = None
+        self._actions: deque[SessionAction] = deque()
+        self._acting: SessionAction | None = None
         self._last_action: Future | None = None
         self._observers: tuple[Order, ...] = ()
         self.view = StageView(0, stage.time, speed, "", "", np.array(stage.data.qpos))
@@ -192,7 +192,7 @@ class StageThread:
         Raises:
             StageError: The session is over.
         """
-        action = Action(name, run, Future())
+        action = SessionAction(name, run, Future())
         with self._work:
             self._check_open()
             self._last_action = action.future
@@ -362,13 +362,13 @@ class StageThread:
         if carried_out:
             self._publish_view()
 
-    def _next_action(self) -> Action | None:
+    def _next_action(self) -> SessionAction | None:
         """Take the next waiting action and make it the one under way; None if none waits."""
         with self._work:
             self._acting = self._actions.popleft() if self._actions else None
             return self._acting
 
-    def _perform_action(self, action: Action) -> None:
+    def _perform_action(self, action: SessionAction) -> None:
         """Run an action, and set the result of its future."""
         self._restart_clock()
         self._publish_view()

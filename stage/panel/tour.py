@@ -28,7 +28,7 @@ SIMULTANEITY_S = 0.1  # by which the ends of two axes differ at most
 
 
 @dataclass
-class AxisRun:
+class AxisMotion:
     """Motion of an axis, from rest to rest.
 
     Attributes:
@@ -56,7 +56,7 @@ class AxisRun:
 
 
 @dataclass(frozen=True)
-class Step:
+class TourStep:
     """Step of the tour.
 
     Attributes:
@@ -88,15 +88,15 @@ class Tour:
 
     def __init__(self, session: Session):
         self.number = 0
-        self.finished: list[tuple[str, AxisRun]] = []
+        self.finished: list[tuple[str, AxisMotion]] = []
         self.lost = False
-        self._running_axes: dict[str, AxisRun] = {}
+        self._running_axes: dict[str, AxisMotion] = {}
         self._pulses: dict[str, tuple[float, float]] = {}  # net pulses of each axis, and when, s
         self._lost_at_first: dict[str, int] = {}
         self._end_observing = session.call_after_slices(self.observe)
 
     @property
-    def step(self) -> Step | None:
+    def step(self) -> TourStep | None:
         """Present step; None when all are done."""
         return STEPS[self.number] if self.number < len(STEPS) else None
 
@@ -151,7 +151,7 @@ class Tour:
         if run is None:
             if not rate:
                 return
-            run = self._running_axes[axis.name] = AxisRun(begin=then)
+            run = self._running_axes[axis.name] = AxisMotion(begin=then)
         run.saw_org |= bool(axis.switches.as_dict().get("org"))
         if rate:
             run.rates.append(rate)
@@ -184,7 +184,7 @@ def _is_synchronized(tour: Tour) -> bool:
 
 
 STEPS = (
-    Step(
+    TourStep(
         "First pulse",
         "The form asks for a move of 1 mm. Press go. (With bytes: the front panel of the chip, further down.)",
         "Preset or positioning operation: the chip gives out as many pulses as its pulse register says, and each pulse turns the "
@@ -194,7 +194,7 @@ STEPS = (
         "move",
         {"distance": "1"},
     ),
-    Step(
+    TourStep(
         "Ramp",
         "Now 40 mm: press go, and look here at the pulse rate. It rises, stays, and falls again.",
         "High-speed operation with ramp-up and ramp-down, from the initial speed (FL, SV) to the drive speed (FH, V) at an "
@@ -204,7 +204,7 @@ STEPS = (
         "move",
         {"distance": "40"},
     ),
-    Step(
+    TourStep(
         "Stall",
         "The form now asks for more than the motor can: 600 mm/s after a ramp of 0.02 s. Press go. The pulses go on and the "
         "carriage does not: here you see the lost steps. The chip cannot know.",
@@ -214,7 +214,7 @@ STEPS = (
         "move",
         {"distance": "-40", "speed": "600", "start_speed": "300", "accel": "0.02"},
     ),
-    Step(
+    TourStep(
         "Origin return",
         "After lost steps nobody knows where the carriage is. Press go: it drives to its origin switch.",
         "Origin return, home position search: the chip drives until the ORG (home, STOP) input becomes active.",
@@ -223,7 +223,7 @@ STEPS = (
         "home",
         {},
     ),
-    Step(
+    TourStep(
         "Dual rate",
         "One move at two speeds: press go, and look at the pulse rate.",
         "FH1 and FH2, or a drive speed that is written while driving: the chip ramps from the one to the other.",
@@ -232,7 +232,7 @@ STEPS = (
         "two_rates",
         {"distance": "60"},
     ),
-    Step(
+    TourStep(
         "Synchronized move",
         "Two axes that begin and end together, 30 mm by 10 mm: press go.",
         "Linear interpolation, or two chips with rates as a : b, started by one command (CSTA, STA, one write to both).",

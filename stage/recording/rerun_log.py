@@ -66,7 +66,7 @@ class RerunLog:
     """
 
     def __init__(self, recording: Recording, path: Path, overwrite: bool = False):
-        from stage.recording.blueprint import build_dashboard
+        from stage.recording.rerun_blueprint import build_dashboard
 
         self._recording, self._rows, self._fault_changes_logged = recording, 0, 0
         self._colors = {name: COLORS[color] for name, color in assign_colors(recording).items()}

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage.recording import geom_archetypes, pin_signals
-from stage.recording.geom_archetypes import rotate_vector
+from stage.recording import pin_signals, rerun_geoms
 from stage.recording.lazy_rerun import rr
+from stage.recording.rerun_geoms import rotate_vector
 from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Scene:
         model = self._recording.model
         out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(model.nbody):
-            for name, shape in geom_archetypes.list_shapes(model, body):
+            for name, shape in rerun_geoms.list_shapes(model, body):
                 out.log(f"{make_body_entity_path(model, body)}/{name}", shape, static=True)
         for body in np.flatnonzero(model.body_weldid == 0).tolist():
             if body:
@@ -81,7 +81,7 @@ class Scene:
             time = np.concatenate([[self._recording.began], time[1:]])
         self._rows_logged += len(rows)
         if len(time):
-            xpos, xquat, sites = geom_archetypes.compute_poses(model, qpos)
+            xpos, xquat, sites = rerun_geoms.compute_poses(model, qpos)
             for body in self._moving:
                 _log_poses(out, make_body_entity_path(model, body), time, xpos[:, body], xquat[:, body])
             self._path.append(_to_work_frame(model, xpos, xquat, sites))
@@ -154,7 +154,7 @@ def make_axis_entity_path(name: str) -> str:
 
 def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
     """Log the constant pose of a body that never moves."""
-    xpos, xquat, _ = geom_archetypes.compute_poses(model, model.qpos0[None])
+    xpos, xquat, _ = rerun_geoms.compute_poses(model, model.qpos0[None])
     out.log(
         make_body_entity_path(model, body),
         rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]),
@@ -220,7 +220,7 @@ def _log_directions(out: Any, recording: Recording, colors: dict[str, tuple[int,
     mujoco.mj_kinematics(model, data)
     frame = [g for g in range(model.ngeom)
              if model.body_weldid[model.geom_bodyid[g]] == 0 and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
-             and geom_archetypes.is_visible(model, g)]  # fmt: skip
+             and rerun_geoms.is_visible(model, g)]  # fmt: skip
     length = 0.1 * float(model.stat.extent)
     corner = np.array(model.stat.center) - 0.5 * float(model.stat.extent)
     if frame:

@@ -77,7 +77,7 @@ class Status(NamedTuple):
     interrupt: bool
 
 
-class Place(NamedTuple):
+class AxisPosition(NamedTuple):
     """Position of an axis and commanded position, m or rad, and lost full steps."""
 
     position: float
@@ -450,10 +450,10 @@ class Client(_Requests[None, int]):
         now, cycles, line = STATUS_REPLY.unpack(self.request(STATUS))
         return Status(now * 1e-9, cycles, bool(line))
 
-    def positions(self) -> dict[str, Place]:
+    def positions(self) -> dict[str, AxisPosition]:
         """Read the positions and lost steps of each axis, by the name of the axis."""
         places = PLACE.iter_unpack(self.request(POSITIONS))
-        return {axis: Place(*place) for axis, place in zip(self.about["axes"], places, strict=True)}
+        return {axis: AxisPosition(*place) for axis, place in zip(self.about["axes"], places, strict=True)}
 
     def pin(self, name: str) -> bool:
         """Read whether a pin of a chip ("x.irq") or a switch ("x.switches.org") is asserted."""

@@ -485,7 +485,7 @@ class Stage:
             chip: Any = axis.chip
             if chip.open_journal is not None:
                 if self.state.axis_table[axis.index].counts:
-                    chip.open_journal.note_shaft(chip.clock, axis.chip_axis, *chip.shaft_of(axis.chip_axis))
+                    chip.open_journal.note_shaft(chip.clock, axis.chip_axis, *chip.get_shaft(axis.chip_axis))
                 chip.open_journal.note_input(chip.clock, axis.chip_axis, chip.input_word(axis.chip_axis))
 
     @property

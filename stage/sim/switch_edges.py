@@ -66,7 +66,7 @@ def _predict_index_edges(world, axis, axis_row, position, velocity, half_step):
 
 
 @hot
-def _flag_edges(clockwork):
+def _get_flag_edges(clockwork):
     """Return the FLAG_EDGE records of all switches."""
     return array_at(clockwork.flag_edges, clockwork.n_flag_edges, FLAG_EDGE)
 
@@ -152,7 +152,8 @@ def _shift_flag_ahead_of_joint(flag_edges, switch, switch_row, position, velocit
 def is_in_flag(clockwork, switch, switch_row, position):
     """Return whether the vane is in its switch with the joint at `position`."""
     return (
-        switch.sensed and _measure_distance_outside(_flag_edges(clockwork), switch_row, position - switch.shift) <= 0.0
+        switch.sensed
+        and _measure_distance_outside(_get_flag_edges(clockwork), switch_row, position - switch.shift) <= 0.0
     )
 
 
@@ -205,7 +206,7 @@ def predict_switch_changes(world, axis, clockwork, switch, switch_row, position,
             if switch.on != (switch_row.forced if switch_row.forced >= 0 else 0):
                 switch.edge = world.now
         else:
-            edges, direction = _flag_edges(clockwork), 1.0 if velocity >= 0.0 else -1.0
+            edges, direction = _get_flag_edges(clockwork), 1.0 if velocity >= 0.0 else -1.0
             position -= velocity * clockwork.half + switch.shift
             speed = velocity * direction
             last, gone = speed * 2.0 * clockwork.half, speed * (float(world.now - world.start) / SECOND)
@@ -273,7 +274,7 @@ def predict_axis_switch_edges(
         velocity: Speed of the joint, m/s (rad/s).
         has_moved: Whether qpos has moved by one step of the present qvel since the sensors were read.
     """
-    half, edges = clockwork.half, _flag_edges(clockwork)
+    half, edges = clockwork.half, _get_flag_edges(clockwork)
     axis.next_edge = NEVER
     awake = axis.awake or not has_moved
     for k in range(axis_row.first_switch, axis_row.end_switch):

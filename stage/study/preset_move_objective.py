@@ -39,7 +39,7 @@ SPACE: Space = {"R1": "4:100:log", "R2": "400:2800", "R4": "60:800:log", "R5": "
 _local = threading.local()
 
 
-class Range(NamedTuple):
+class RegisterRange(NamedTuple):
     """Whole numbers from `low` to `high`, both inclusive; `log`: sampled evenly on a logarithmic scale."""
 
     low: int
@@ -47,7 +47,7 @@ class Range(NamedTuple):
     log: bool
 
 
-def parse_register_values(name: str, text: str | int) -> Range | tuple[int, ...]:
+def parse_register_values(name: str, text: str | int) -> RegisterRange | tuple[int, ...]:
     """Return the values that a register may take.
 
     Args:
@@ -64,7 +64,7 @@ def parse_register_values(name: str, text: str | int) -> Range | tuple[int, ...]
                 raise ValueError
             return values
         low, high, *log = str(text).split(":")
-        span = Range(int(low), int(high), log == ["log"])
+        span = RegisterRange(int(low), int(high), log == ["log"])
         if log not in ([], ["log"]) or not 0 <= span.low <= span.high or (span.log and not span.low):
             raise ValueError
         return span
@@ -94,7 +94,7 @@ def suggest_registers(trial: Trial, space: Space) -> dict[str, int]:
     registers = {}
     for name, text in space.items():
         values = parse_register_values(name, text)
-        if isinstance(values, Range):
+        if isinstance(values, RegisterRange):
             registers[name] = trial.suggest_int(name, values.low, values.high, log=values.log)
         elif len(values) == 1:
             registers[name] = trial.suggest_int(name, values[0], values[0])

@@ -14,8 +14,8 @@ from stage.sim.compiled_stage_access import INTEGER
 from stage.targets.processor_clock_and_bus_cycles import (
     PROCESSOR_FIELDS,
     advance_board,
-    bus_cycle,
     compute_time,
+    make_bus_cycle,
     request,
 )
 
@@ -121,13 +121,13 @@ def _update_bus(bus):
     )
     if write and not bus.was_write and (selected or bus.was_selected):
         value = array_at(bus.levels, len(PORTS), INTEGER)[bus.data_port]
-        bus_cycle(cpu, get_cycle_count(cpu), OUT8, _read_port_address(bus), value & 0xFF)
+        make_bus_cycle(cpu, get_cycle_count(cpu), OUT8, _read_port_address(bus), value & 0xFF)
     bus.was_selected, bus.was_write = selected, write
     if read or not selected:
         bus.reading = 0
     elif not bus.reading:
         bus.reading = 1
-        value = bus_cycle(cpu, get_cycle_count(cpu), IN8, _read_port_address(bus), 0)
+        value = make_bus_cycle(cpu, get_cycle_count(cpu), IN8, _read_port_address(bus), 0)
         if array_at(bus.outputs, len(PORTS), INTEGER)[bus.data_port]:
             if bus.conflicts == 0:
                 request(cpu, LOG, bus.warning, 0)

@@ -114,7 +114,7 @@ class AvrUart:
         """Begin to receive bytes from the board."""
         u = self._row[0]
         if u.connected:
-            self._avr.start_timer(int(u.idle), self._receive, int(u.address))
+            self._avr.schedule_call(int(u.idle), self._receive, int(u.address))
 
     def flush_sent_bytes(self) -> None:
         """Pass the bytes that are still being sent to the board, at the end of a run."""

@@ -98,14 +98,14 @@ def count_instruction(_uc, _address, size, cpu):
 def _read_port(cpu, size, port):
     """Make read cycles at ports of the board for a value of `size` bytes; return the value."""
     code = IN8 if size == 1 else IN16 if size == 2 else IN32
-    return bus_cycle(cpu, cpu.cycles, code, port, 0)
+    return make_bus_cycle(cpu, cpu.cycles, code, port, 0)
 
 
 @hot
 def _write_port(cpu, size, port, value):
     """Make write cycles at ports of the board for a value of `size` bytes."""
     code = OUT8 if size == 1 else OUT16 if size == 2 else OUT32
-    bus_cycle(cpu, cpu.cycles, code, port, value)
+    make_bus_cycle(cpu, cpu.cycles, code, port, value)
 
 
 @exported("i4", "i8", "i4", "i4", MACHINE)
@@ -182,7 +182,7 @@ def advance_board(cpu, cycles):
 
 
 @hot
-def bus_cycle(cpu, cycles, kind, port, value):
+def make_bus_cycle(cpu, cycles, kind, port, value):
     """Make a bus cycle that ends when the processor has run a number of cycles; return the answer."""
     host = array_at(cpu.host, 1, HOST)[0]
     end = compute_time(cpu, cycles)

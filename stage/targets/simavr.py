@@ -382,7 +382,7 @@ class LoadedAvr:
                 self._call_library("avr_ioctl", encode_ioctl_request("uas" + name), ctypes.byref(ctypes.c_uint32(0)))
                 self._uarts.append(AvrUart(name, self, int(irqs), self._board, connected=not self._uarts))
 
-    def start_timer(self, cycles: int, function: Any, address: int) -> None:
+    def schedule_call(self, cycles: int, function: Any, address: int) -> None:
         """Let simavr call a compiled function after a number of cycles.
 
         Args:
@@ -399,7 +399,7 @@ class LoadedAvr:
         t, library = self.record, self._simavr
         t.begin = self._board.stage.now
         t.when = t.quantum
-        self.start_timer(int(t.quantum), self._tick, int(t.own))
+        self.schedule_call(int(t.quantum), self._tick, int(t.own))
         for uart in self._uarts:
             uart.start_receiving()
         if self._gdb:

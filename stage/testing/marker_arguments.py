@@ -65,12 +65,12 @@ def read_board_arguments(node: pytest.Item) -> dict[str, Any]:
         ArgumentError: A marker has an argument that does not exist, or one twice.
         FileError: The file of a layout does not exist.
     """
-    from stage.board import layouts
+    from stage.board import bus_layouts
 
     arguments: dict[str, Any] = {}
     for mark in _list_markers(node, "board"):
         arguments |= _bind_arguments(mark, BOARD_ARGUMENTS)
-    if layouts.is_layout_file(arguments.get("layout")):
+    if bus_layouts.is_layout_file(arguments.get("layout")):
         arguments["layout"] = find_file(node, arguments["layout"], "layout")
     return arguments
 

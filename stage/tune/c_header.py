@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from stage.board.bus.host_record import LATCH, WORD
-from stage.board.layouts import make_default_layout
+from stage.board.bus_layouts import make_default_layout
 from stage.chips import Chip
 from stage.tune.bus_listing import BusCycle, RegisterValue
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from stage.sim.fleet import Fleet
 from stage.sim.program import Program
-from stage.tune.planners import MovePlan, MovePlanner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S, PositionSampler
+from stage.tune.register_planners import MovePlan, MovePlanner
 from stage.tune.task import MoveCase, Task
 
 DEFAULT_FLEET_SIZE = 48

@@ -9,8 +9,8 @@ import numpy as np
 
 from stage.tune.machine_tolerances import Machine
 from stage.tune.move_runner import MoveRunner
-from stage.tune.planners import MovePlan
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
+from stage.tune.register_planners import MovePlan
 from stage.tune.task import MoveCase
 
 DEFAULT_PROOF_MOVES = 96

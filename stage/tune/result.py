@@ -20,9 +20,9 @@ from stage.tune.bus_listing import (
 )
 from stage.tune.c_header import format_c_header
 from stage.tune.machine_tolerances import Spread, find_spreads
-from stage.tune.planners import MovePlan, MovePlanner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
 from stage.tune.proof import Proof, compute_time_saved
+from stage.tune.register_planners import MovePlan, MovePlanner
 from stage.tune.task import MoveCase, Task
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 

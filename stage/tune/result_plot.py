@@ -11,8 +11,8 @@ from stage.sim.fleet import Fleet
 from stage.sim.program import Program
 from stage.support.files import save_figure
 from stage.support.plot_style import COLORS, MUTED_COLOR, add_heading, make_figure, remove_frame
-from stage.tune.planners import MovePlan
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S, PositionSampler
+from stage.tune.register_planners import MovePlan
 from stage.tune.task import MoveCase
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 

@@ -15,8 +15,8 @@ from stage.errors import ArgumentError
 from stage.support.extras import import_extra
 from stage.tune.formula import FormulaChoice
 from stage.tune.move_runner import MoveRunner
-from stage.tune.planners import MovePlan, MovePlanner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
+from stage.tune.register_planners import MovePlan, MovePlanner
 from stage.tune.task import MoveCase
 
 BATCH_SIZE = 8

@@ -14,10 +14,10 @@ from stage.support.argument_checks import check_integer, explain_arguments
 from stage.tune.formula import SAFETY_FACTOR, FormulaChoice
 from stage.tune.machine_tolerances import Machine, draw_machines
 from stage.tune.move_runner import MoveRunner
-from stage.tune.planners import MovePlan, MovePlanner, create_planner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
 from stage.tune.proof import ANGLES_PER_PAYLOAD as SPARE_MACHINE_COUNT
 from stage.tune.proof import DEFAULT_PROOF_MOVES, Proof, compute_time_saved, measure_spare_payload, prove_plans
+from stage.tune.register_planners import MovePlan, MovePlanner, create_planner
 from stage.tune.result import Answer, TuningResult
 from stage.tune.search import Trial, compute_time_limit, import_optuna, search_registers
 from stage.tune.task import MoveCase, Task

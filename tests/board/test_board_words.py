@@ -9,7 +9,7 @@ import pytest
 from support.vcd_parser import parse
 
 from stage import Stage
-from stage.board import Board, layouts
+from stage.board import Board, bus_layouts
 from stage.board.bus import host_record
 from stage.board.bus.interrupt_controller import (
     ANY_INTERRUPT_LINE,
@@ -19,10 +19,10 @@ from stage.board.bus.interrupt_controller import (
     FIRST_TIMER,
     HIGHEST,
 )
+from stage.board.bus_layouts import read_layout
 from stage.board.devices import HCTL2016, Encoder
 from stage.board.interrupt_hooks import format_source_name
 from stage.board.isolation.traps.memory_windows import MemoryWindows
-from stage.board.layouts import read_layout
 from stage.board.memory_mapped_ports import ADDRESS_LIMIT, Window, parse_windows
 from stage.chips import HCTL1100, MCX304
 from stage.errors import ArgumentError
@@ -96,12 +96,12 @@ def test_a_layout_like_another_for_another_chip_and_the_last_address_of_one(tmp_
         with pytest.raises(ArgumentError, match=message):
             read_layout(file)
     file.write_text('chip = "PCL240K"\nports = ["byte 0"]\nchips = 64\nbase = 4294967295')
-    assert (read_layout(file).chips, read_layout(file).base) == (64, layouts.LAST_PORT)
+    assert (read_layout(file).chips, read_layout(file).base) == (64, bus_layouts.LAST_PORT)
 
 
 def test_windows_end_with_the_last_port_and_address():
     assert parse_windows((ADDRESS_LIMIT - 1, 0, 1)) == (Window(ADDRESS_LIMIT - 1, 0, 1),)
-    assert parse_windows((0x10000, layouts.MAX_PORTS - 1, 1))[0].length == 1
+    assert parse_windows((0x10000, bus_layouts.MAX_PORTS - 1, 1))[0].length == 1
     for wrong in (((True, 1, 2),), ((1.0, 1, 2),), ((1, 2, 3, 4),), (True, 1, 2, 3)):
         with pytest.raises(ArgumentError, match="a window is a Window"):
             parse_windows(wrong)

@@ -11,7 +11,7 @@ import pytest
 from support.compiled_firmware import firmware
 from support.extras import needs_rerun
 
-from stage.board import include
+from stage.board import get_include_folder
 from stage.cli import main
 
 MOVE = r"""
@@ -126,7 +126,7 @@ def test_a_servo_chip_runs_too(capsys):
 
 def test_include_prints_the_folder_of_the_header(capsys):
     assert main(["include"]) == 0
-    assert capsys.readouterr().out.strip() == str(include())
+    assert capsys.readouterr().out.strip() == str(get_include_folder())
 
 
 def test_firmware_that_never_returns_is_run_for_so_long(capsys):

@@ -21,7 +21,7 @@ from stage.board import (
     NativeHost,
     build,
     crash_report,
-    include,
+    get_include_folder,
 )
 from stage.cli.terminal_output import ClosableOutput
 from stage.support.subprocesses import run_program
@@ -100,7 +100,7 @@ def test_a_crash_in_such_a_folder_says_function_and_line(latin):
 def test_a_library_in_such_a_folder_that_cannot_be_loaded_says_so(latin):
     source = write_source(latin, "void absent(void);\nPULSESTAGE_MAIN { absent(); return 0; }")
     built = latin / "drive.so"
-    subprocess.run(["cc", "-w", "-shared", "-fPIC", f"-I{include()}", source, "-o", built], check=True)
+    subprocess.run(["cc", "-w", "-shared", "-fPIC", f"-I{get_include_folder()}", source, "-o", built], check=True)
     for isolated in (False, True):
         with pytest.raises(LibraryError, match=r"cannot be loaded: .*absent"):
             NativeHost(built, Board(Stage("xy", visuals=False)), isolated=isolated)

@@ -14,7 +14,7 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost, crash_report, include
+from stage.board import Board, HostError, NativeHost, crash_report, get_include_folder
 from stage.chips import PCL240K
 
 needs_traps = pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="calls are observed on 64-bit Linux")
@@ -129,7 +129,7 @@ def test_a_function_named_usleep_of_the_firmware_is_not_replaced(board, tmp_path
         "#include <pulsestage.h>\nint usleep(unsigned us) { ps_delay_us(us); return 5; }\n"
         "PULSESTAGE_MAIN { return usleep(10); }\n"
     )
-    subprocess.run(["cc", "-shared", "-fPIC", "-w", f"-I{include()}", source, "-o", built], check=True)
+    subprocess.run(["cc", "-shared", "-fPIC", "-w", f"-I{get_include_folder()}", source, "-o", built], check=True)
     before, begin = len(board.log), board.stage.now
     assert NativeHost(built, board).run().code == 5
     assert (len(board.log), board.stage.now - begin) == (before, 10_000)

@@ -12,7 +12,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import LAYOUTS, Board
-from stage.board.layouts import read_layout
+from stage.board.bus_layouts import read_layout
 from stage.chips import MCX304, MCX514, PCL240K
 from stage.cli import main
 from stage.errors import ArgumentError

@@ -11,7 +11,16 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, firmware_library, include
+from stage.board import (
+    Board,
+    CompileError,
+    LibraryError,
+    NativeHost,
+    NoCompilerError,
+    build,
+    firmware_library,
+    get_include_folder,
+)
 from stage.board.firmware_library import check_library, format_build_command
 from stage.errors import ArgumentError
 from stage.support.files import FileError
@@ -76,7 +85,7 @@ def test_a_library_that_needs_another_says_which(board, tmp_path):
             reference(
                 tmp_path,
                 "#include <pulsestage.h>\nint nowhere_to_be_found(void); PULSESTAGE_MAIN { return nowhere_to_be_found(); }",
-                *("-shared", "-fPIC", f"-I{include()}"),
+                *("-shared", "-fPIC", f"-I{get_include_folder()}"),
             ),
             board,
         )
@@ -142,7 +151,7 @@ def test_functions_of_the_firmware_win_over_the_systems_of_the_same_name(isolate
     host = NativeHost(source, Board(Stage("xy", visuals=False)), isolated=isolated)
     assert (host.run().code, host.board.stage.time) == (12, pytest.approx(0.01))
     by_hand = tmp_path / "by_hand.so"
-    subprocess.run(["cc", "-shared", "-fPIC", f"-I{include()}", str(source), "-o", str(by_hand)], check=True)
+    subprocess.run(["cc", "-shared", "-fPIC", f"-I{get_include_folder()}", str(source), "-o", str(by_hand)], check=True)
     assert NativeHost(by_hand, Board(Stage("xy", visuals=False)), isolated=isolated).run().code == 12
 
 

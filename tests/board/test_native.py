@@ -208,7 +208,7 @@ def test_the_header_and_python_agree_on_the_requests():
     from stage.board import firmware_library
     from stage.board.bus import host_record
 
-    text = (firmware_library.include() / "pulsestage.h").read_text()
+    text = (firmware_library.get_include_folder() / "pulsestage.h").read_text()
     names = "".join(text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].split()).split(",")
     number = -1
     for name in names:

@@ -9,7 +9,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.layouts import MAX_PORTS
+from stage.board.bus_layouts import MAX_PORTS
 from stage.board.memory_mapped_ports import Window, parse_windows
 from stage.chips import MCX304
 from stage.errors import ArgumentError

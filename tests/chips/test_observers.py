@@ -19,7 +19,7 @@ CHIP_OBSERVERS = {
     "input word": lambda chip, axis: chip.input_word(axis),
     "output word": lambda chip, axis: chip.output_word(axis),
     "net": lambda chip, axis: chip.net(axis),
-    "shaft": lambda chip, axis: chip.shaft_of(axis) if chip.ENCODERS or chip.SERVO else None,
+    "shaft": lambda chip, axis: chip.get_shaft(axis) if chip.ENCODERS or chip.SERVO else None,
     "lint": lambda chip, axis: [
         list(chip.lint(k, v)) for k in range(chip.ADDRESSES) for v in (0, 0x150, chip.DATA_MASK)
     ],

@@ -167,7 +167,7 @@ def test_a_vector_gives_the_same_bits_as_single_environments(any_, mode, threads
     for k, env in enumerate(parts):
         observation, info = env.reset(seed=11 + k)
         assert is_identical(observed[k], observation)
-        assert is_identical(stage.envs.stage_env.info_of(infos, k), info)
+        assert is_identical(stage.envs.stage_env.extract_info(infos, k), info)
     vector.action_space.seed(11)
     over = np.zeros(n, bool)
     for _ in range(steps):
@@ -182,17 +182,17 @@ def test_a_vector_gives_the_same_bits_as_single_environments(any_, mode, threads
         for k, env in enumerate(parts):
             if over[k] and mode == AutoresetMode.NEXT_STEP:
                 expected = *env.reset(), 0.0
-                got = observed[k], stage.envs.stage_env.info_of(infos, k), float(rewards[k])
+                got = observed[k], stage.envs.stage_env.extract_info(infos, k), float(rewards[k])
             else:
                 observation, reward, finished, cut, info = env.step(actions[k])
                 assert (finished, cut) == (terminated[k], truncated[k])
                 if mode == AutoresetMode.SAME_STEP and (finished or cut):
                     assert is_identical(infos["final_obs"][k], observation)
-                    assert is_identical(stage.envs.stage_env.info_of(infos["final_info"], k), info)
+                    assert is_identical(stage.envs.stage_env.extract_info(infos["final_info"], k), info)
                     observation, info = env.reset()
-                    got = stage.envs.stage_env.info_of({n: v for n, v in infos.items() if "final" not in n}, k)
+                    got = stage.envs.stage_env.extract_info({n: v for n, v in infos.items() if "final" not in n}, k)
                 else:
-                    got = stage.envs.stage_env.info_of(infos, k)
+                    got = stage.envs.stage_env.extract_info(infos, k)
                 expected = observation, info, reward
                 got = observed[k], got, float(rewards[k])
             assert is_identical(got, expected), (k, got, expected)
@@ -226,8 +226,8 @@ def test_a_new_episode_in_a_vector_reports_its_reset_info_while_others_continue(
         _, _, terminated, truncated, _ = vector.step(choose_timed_action(id_, vector.action_space.sample()))
         over = terminated | truncated
     infos = vector.step(choose_timed_action(id_, vector.action_space.sample()))[4]
-    assert is_identical(stage.envs.stage_env.info_of(infos, 1), vector.unwrapped._task.reset_info(1))
-    assert "reward_parts" in stage.envs.stage_env.info_of(infos, 0)
+    assert is_identical(stage.envs.stage_env.extract_info(infos, 1), vector.unwrapped._task.reset_info(1))
+    assert "reward_parts" in stage.envs.stage_env.extract_info(infos, 0)
 
 
 def test_invalid_actions_are_refused_with_their_value(id_):
@@ -346,10 +346,10 @@ def test_a_diverging_stage_ends_only_the_episode_of_its_environment(any_):
     vector.stages[1].data.qfrc_applied[:] = 0.0
     again, *_, infos = vector.step(actions)
     assert np.isfinite(again).all(), "it starts anew"
-    assert is_identical(stage.envs.stage_env.info_of(infos, 1), vector.unwrapped._task.reset_info(1))
+    assert is_identical(stage.envs.stage_env.extract_info(infos, 1), vector.unwrapped._task.reset_info(1))
     assert vector.stages[1].time == 0, "and waits for its first action"
     if not finished[0]:  # else it begins anew, too
-        assert stage.envs.stage_env.info_of(infos, 0)["cause"] == ""
+        assert stage.envs.stage_env.extract_info(infos, 0)["cause"] == ""
 
 
 @pytest.mark.usefixtures("elsewhere")

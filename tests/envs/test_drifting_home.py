@@ -7,9 +7,9 @@ import pytest
 import stage.envs  # noqa: F401
 from stage import ArgumentError
 from stage.envs import machine_contexts, machine_faults
-from stage.envs.drifting_home import Config, action_of
+from stage.envs.drifting_home import Config, make_action
 
-GOOD = action_of()
+GOOD = make_action()
 """The action of the default rates, which approaches ORG from the plus side."""
 BROKEN = Config.FAULTS
 
@@ -80,14 +80,16 @@ def test_a_fault_shows_in_the_result_of_a_return_and_reporting_it_pays(env, faul
 def test_reporting_a_missing_fault_costs_more_than_any_episode():
     """An immediate report would otherwise end an episode at a fixed price."""
     env = make_env(limit=0.05, settle=0.01)
-    reported, (info,) = play_episode(env, lambda: action_of(report=True), options={"fault": "none"})
+    reported, (info,) = play_episode(env, lambda: make_action(report=True), options={"fault": "none"})
     assert info["reported"]
     assert not info["score"]["success"]
     assert env.stage.time == 0, "and nothing was moved"
     worst, infos = play_episode(env, lambda: GOOD, options={"fault": "none"})
     assert all(info["late"] for info in infos)
     assert reported < worst - 5
-    delayed, infos = play_episode(env, iter([GOOD] * 2 + [action_of(report=True)]).__next__, options={"fault": "none"})
+    delayed, infos = play_episode(
+        env, iter([GOOD] * 2 + [make_action(report=True)]).__next__, options={"fault": "none"}
+    )
     assert delayed < worst - 4, "nor is it cheaper at the end"
 
 
@@ -99,7 +101,7 @@ def test_one_failed_return_does_not_prove_a_stuck_switch(env):
         text.append(env.step(GOOD)[0][3:8].tolist())
     assert text[0] == text[1]
     env.reset(seed=2, options={"fault": "none", "start": env._task.origin - 0.003})
-    assert env.step(action_of(leave=1500))[4]["home"]
+    assert env.step(make_action(leave=1500))[4]["home"]
 
 
 def test_the_origin_drifts_and_the_counters_show_the_drift():
@@ -109,7 +111,7 @@ def test_the_origin_drifts_and_the_counters_show_the_drift():
     at = [e.name for e in env.observation_features].index("last_off")
     for _ in range(3):
         shifts.append(env._task.shift[0, 1])
-        off.append(env.step(action_of(leave=1500, approach=200))[0][at] * 64 * env._task.per_pulse)
+        off.append(env.step(make_action(leave=1500, approach=200))[0][at] * 64 * env._task.per_pulse)
     assert len(set(shifts)) == 3
     assert off[0] == 0
     assert np.allclose(off[1:], np.diff(shifts), atol=1.5e-5)

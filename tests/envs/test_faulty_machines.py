@@ -10,7 +10,7 @@ import stage.envs
 from stage import ArgumentError, Stage
 from stage.drives import stepper
 from stage.envs import machine_contexts, machine_faults
-from stage.envs.few_shot import action_of
+from stage.envs.few_shot import make_action
 
 SHORT = {
     "stage/FewShotTuning-v1": {"distances": (1600, 2000), "tries": 2, "proofs": 1, "settle": 0.01},
@@ -50,7 +50,7 @@ def test_the_split_faults_differs_from_train_only_in_its_faults(id_):
 @pytest.mark.parametrize("fault", machine_faults.HAMPERING)
 def test_a_hampered_machine_loses_steps_in_fast_moves_and_makes_moderate_ones(fault):
     env = make_env("stage/FewShotTuning-v1", proofs=0)
-    moves = {"brisk": action_of(1500, 96_000, 0.025, 0.025), "usual": action_of(1000, 16_000, 0.15, 0.15)}
+    moves = {"brisk": make_action(1500, 96_000, 0.025, 0.025), "usual": make_action(1000, 16_000, 0.15, 0.15)}
     saved = {}
     for name in ("none", fault):
         env.reset(seed=1, options={**HEALTHY, "fault": name, "distance": 2000})

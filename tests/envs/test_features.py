@@ -10,7 +10,7 @@ import pytest
 import stage.envs
 from stage import ArgumentError
 from stage.envs import observation_features
-from stage.envs.stage_env import info_of
+from stage.envs.stage_env import extract_info
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 1, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -69,11 +69,11 @@ def test_a_vector_without_truth_reports_the_same_entries_as_one_environment(id_)
     observed, infos = envs.reset(seed=4)
     first, info = env.reset(seed=4)
     assert np.array_equal(observed[0], first)
-    assert info_of(infos, 0).keys() == info.keys()
+    assert extract_info(infos, 0).keys() == info.keys()
     envs.action_space.seed(4)
     actions = envs.action_space.sample()
     (*_, infos), (*_, info) = envs.step(actions), env.step(actions[0])
-    assert info_of(infos, 0).keys() == info.keys()
+    assert extract_info(infos, 0).keys() == info.keys()
     assert "reward_parts" not in infos
 
 

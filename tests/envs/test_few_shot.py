@@ -9,12 +9,12 @@ import pytest
 import stage.envs  # noqa: F401
 from stage import ArgumentError, Stage
 from stage.envs import machine_contexts
-from stage.envs.few_shot import Config, FewShotTuning, action_of
+from stage.envs.few_shot import Config, FewShotTuning, make_action
 from stage.firmware.parameter_ranges import get_register_range
 
-USUAL = action_of(1000, 16_000, 0.15, 0.15)
-BRISK = action_of(1000, 24_000, 0.08, 0.08)
-WILD = action_of(6000, 60_000, 0.01, 0.01)
+USUAL = make_action(1000, 16_000, 0.15, 0.15)
+BRISK = make_action(1000, 24_000, 0.08, 0.08)
+WILD = make_action(6000, 60_000, 0.01, 0.01)
 SHORT = {"model": "xy", "distances": (800, 2000), "tries": 3, "proofs": 2, "settle": 0.02}
 
 
@@ -168,7 +168,7 @@ def test_a_motor_of_another_inductance_has_its_time_constant_at_once():
 def test_loss_and_inductance_take_torque_at_speed_and_a_low_current_takes_it_at_any(machine, lost):
     env = make_env(distances=(8000, 8000), proofs=0)
     nominal = {"payload": 2.0, "friction": 1.0, "supply": 1.0, "current": 1.0, "loss": 1.0, "inductance": 1.0}
-    moves = {"fast": action_of(3000, 60_000, 0.02, 0.02), "steep": action_of(3000, 24_000, 0.01, 0.01)}
+    moves = {"fast": make_action(3000, 60_000, 0.02, 0.02), "steep": make_action(3000, 24_000, 0.01, 0.01)}
     env.reset(seed=1, options={**nominal, "switch": 0.5, "drift": 0.0, **machine})
     assert {name: bool(env.step(action)[4]["lost_steps"]) for name, action in moves.items()} == lost
 
@@ -269,7 +269,7 @@ def test_every_action_is_registers_of_every_chip(chip):
             (row,) = task.to_registers(action[None].astype(np.float32))
             ranges = [get_register_range(task.axis.chip.MAP, name) for name in task.names]
             assert all(low <= value <= high for value, (low, high) in zip(row, ranges, strict=True)), (action, row)
-    assert task.decode_action(action_of(1000, 16_000, 0.15, 0.1), 9000) == pytest.approx(
+    assert task.decode_action(make_action(1000, 16_000, 0.15, 0.1), 9000) == pytest.approx(
         (1000, 16_000, 0.15, 0.1), rel=1e-4
     )
 

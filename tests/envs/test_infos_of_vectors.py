@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage.envs.stage_env import _merge_info_columns, info_of
+from stage.envs.stage_env import _merge_info_columns, extract_info
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 2, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -25,7 +25,7 @@ def test_an_info_entry_of_both_reset_and_step_is_reported_for_both_stages(id_):
     *_, finished, cut, _ = envs.step(actions)
     assert (finished | cut).tolist() == [False, True]
     *_, infos = envs.step(actions)
-    continuing, begins = (info_of(infos, k) for k in (0, 1))
+    continuing, begins = (extract_info(infos, k) for k in (0, 1))
     named = "distances" if "distances" in begins else "distance"
     assert np.array_equal(begins[named], envs._task.reset_info(1)[named])
     assert set(begins) == set(envs._task.reset_info(1)), "of a beginning what a reset tells, and no more"

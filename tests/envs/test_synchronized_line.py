@@ -22,7 +22,7 @@ def env():
 
 def encode_line(env, rate=16_000.0, ramp=0.15, **corrections):
     """Encode a rate, a ramp and corrections {axis: six numbers} as an action."""
-    action = env._task.action_of(rate, ramp)[0]
+    action = env._task.make_action(rate, ramp)[0]
     for axis, values in corrections.items():
         at = 2 + 6 * env._task.config.axes.index(axis)
         action[at : at + 6] = values

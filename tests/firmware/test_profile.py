@@ -173,7 +173,7 @@ def test_curved_ends_take_0_to_4095_speed_steps(spans):
         (lambda: Profile.of(decel=0), "decel=0"),
         (lambda: Profile(8192, 1, 1, 2, 2, 2), r"R1 .FL speed. cannot be 8192"),
         (
-            lambda: Profile(1, 8191, 1, 2, 16383, 2).down_point(10**7),
+            lambda: Profile(1, 8191, 1, 2, 16383, 2).compute_ramp_down_point(10**7),
             r"R6 .ramping-down point. cannot be \d+: .* to 1048575",
         ),
     ],

@@ -7,7 +7,7 @@ from support.examples import SEED
 from stage import ArgumentError, StageError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, ChipPort, Profile
-from stage.firmware.pcl240.preset_move_closed_form import _compute_mean_step_delay, compute_double_span
+from stage.firmware.pcl240.preset_move_closed_form import _compute_mean_step_delay, compute_twice_curved_end_steps
 
 SHAPES = [False, True, 0.2]
 
@@ -154,7 +154,7 @@ def test_listings_name_extension_registers():
 @pytest.mark.parametrize(("span", "twice"), [(0, 400), (100, 200), (199, 398), (200, 400), (201, 400), (300, 400)])
 def test_a_span_of_more_than_half_of_a_ramp_leaves_no_linear_part(span, twice):
     """R14 = 300 for a ramp of 400 speed steps: as R14 = 0"""
-    assert compute_double_span(span, 400) == twice
+    assert compute_twice_curved_end_steps(span, 400) == twice
 
 
 def test_the_linear_part_of_a_curve_lags_by_the_rounding_of_its_first_two_steps():

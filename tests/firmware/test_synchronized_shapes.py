@@ -118,14 +118,14 @@ def test_the_curved_ends_take_their_share_of_every_axis():
     p = plan({"x": 40_000, "y": 17_000}, chips=PCL240MS, s_curve=0.2)
     for a in p.axes.values():
         r = a.registers
-        assert a.span == round(0.2 * (r["R2"] - r["R1"])) == r["R15"]
-        assert r["R14"] == 0x8000 | a.span  # FH correction off
+        assert a.curved_end_steps == round(0.2 * (r["R2"] - r["R1"])) == r["R15"]
+        assert r["R14"] == 0x8000 | a.curved_end_steps  # FH correction off
 
 
 @pytest.mark.parametrize("s_curve", [True, 0.5])
 def test_no_linear_part_is_a_span_of_zero(s_curve):
     for a in plan({"x": 4000, "y": 900}, chips=PCL240MS, s_curve=s_curve).axes.values():
-        assert (a.registers["R14"], a.registers["R15"], a.span) == (0x8000, 0, 0)
+        assert (a.registers["R14"], a.registers["R15"], a.curved_end_steps) == (0x8000, 0, 0)
 
 
 def test_a_linear_plan_for_an_ms_says_so_in_r14():

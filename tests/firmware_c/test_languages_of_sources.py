@@ -10,7 +10,7 @@ import subprocess
 import pytest
 
 from stage import Stage
-from stage.board import Board, CompileError, CompilerWarning, LibraryError, NativeHost, build, include
+from stage.board import Board, CompileError, CompilerWarning, LibraryError, NativeHost, build, get_include_folder
 from stage.board.platforms import PLATFORMS
 from stage.cli import main
 
@@ -160,6 +160,6 @@ def test_the_loader_s_error_names_functions_of_cpp_as_their_source_does(board, t
     text = "#include <pulsestage.h>\nint absent(int);\nPULSESTAGE_MAIN { return absent(3); }\n"
     (source,) = write(tmp_path, drive_cpp=text)
     library = tmp_path / "drive.so"
-    subprocess.run(["c++", "-shared", "-fPIC", f"-I{include()}", source, "-o", library], check=True)
+    subprocess.run(["c++", "-shared", "-fPIC", f"-I{get_include_folder()}", source, "-o", library], check=True)
     with pytest.raises(LibraryError, match=r"undefined symbol: absent\(int\)"):
         NativeHost(library, board)

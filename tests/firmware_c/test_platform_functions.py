@@ -8,7 +8,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, HostTimeout, NativeHost, build
-from stage.board.firmware_library import include
+from stage.board.firmware_library import get_include_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECK = "#define CHECK(what) do { if (!(what)) return __LINE__; } while (0)\n"
@@ -517,7 +517,7 @@ def test_a_wait_without_an_event_ends_at_the_timeout(tmp_path):
 
 def test_headers_and_entries_are_in_the_wheel():
     data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
-    folder = include() / "platforms"
+    folder = get_include_folder() / "platforms"
     files = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.suffix in (".h", ".c", ".cpp")}
     assert len(files) > 20
     for file in files:

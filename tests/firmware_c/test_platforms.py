@@ -9,7 +9,7 @@ import pytest
 
 from stage import ArgumentError, Stage
 from stage.board import Board, CompileError, NativeHost, build
-from stage.board.firmware_library import find_compiler, include
+from stage.board.firmware_library import find_compiler, get_include_folder
 from stage.board.platforms import PLATFORMS
 from stage.cli import main
 from stage.testing import assert_at, assert_no_diagnostics, assert_no_lost_steps, assert_no_strays
@@ -23,10 +23,10 @@ PROGRAMS = {
     "dos": (["dos/home240.c"], (*WARNINGS, "-std=c99", "-Wno-main"), "PCL240K", "pcl240-card"),
 }
 HEADERS = [
-    (platform.name, path.relative_to(include() / "platforms" / folder).as_posix())
+    (platform.name, path.relative_to(get_include_folder() / "platforms" / folder).as_posix())
     for platform in PLATFORMS.values()
     for folder in platform.folders
-    for path in sorted((include() / "platforms" / folder).rglob("*.h"))
+    for path in sorted((get_include_folder() / "platforms" / folder).rglob("*.h"))
 ]
 
 PINS = """
@@ -149,11 +149,11 @@ def test_each_header_compiles_alone_without_a_warning(platform, header, standard
         pytest.skip("a header of C++")
     source = tmp_path / ("x.cpp" if plus else "x.c")
     source.write_text(f"#include <{header}>\nint x;\n")
-    folders = [f"-I{include() / 'platforms' / f}" for f in PLATFORMS[platform].folders]
+    folders = [f"-I{get_include_folder() / 'platforms' / f}" for f in PLATFORMS[platform].folders]
     defines = [f for f in PLATFORMS[platform].flags if f.startswith("-D")]
     finished_run = subprocess.run(
-        [find_compiler(source), f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", f"-I{include()}",
-         *folders, *defines, str(source)],
+        [find_compiler(source), f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only",
+         f"-I{get_include_folder()}", *folders, *defines, str(source)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert finished_run.returncode == 0, finished_run.stderr

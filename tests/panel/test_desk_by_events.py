@@ -413,7 +413,7 @@ def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypa
     chart, requested = chart_of(page), []
     for span in SPANS[:3]:
         page.put("span", span)
-        assert chart.scope.span == span
+        assert chart.scope.window_s == span
     monkeypatch.setattr(chart.scope, "set_trigger", lambda *wanted: requested.append(wanted))
     page.put("mode", "single")
     page.put("source", "y/rate")

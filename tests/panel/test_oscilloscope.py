@@ -23,7 +23,7 @@ def run_at_once(session, what, *arguments, **more):
 
 
 def test_the_trigger_is_at_the_edge_of_the_trace(session, sampler):
-    scope = Oscilloscope(sampler, ["x/rate", "x/position"], span=0.05)
+    scope = Oscilloscope(sampler, ["x/rate", "x/position"], window_s=0.05)
     run_at_once(session, session.stage.run, 0.02)
     scope.set_trigger("single", "x/rate", True, 8000.0)
     assert scope.capture_frame(100).state == "waits for the trigger"
@@ -41,7 +41,10 @@ def test_the_trigger_is_at_the_edge_of_the_trace(session, sampler):
 
 
 def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
-    scope, other = Oscilloscope(sampler, ["x/lost_steps"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.1)
+    scope, other = (
+        Oscilloscope(sampler, ["x/lost_steps"], window_s=0.1),
+        Oscilloscope(sampler, ["x/rate"], window_s=0.1),
+    )
     scope.set_trigger("normal", LOST)
     other.set_trigger("normal", DIAGNOSTIC)
     x = session.stage.axes["x"]
@@ -58,7 +61,7 @@ def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
 
 def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sampler):
     pins = [name for name, trace in sampler.traces.items() if trace.pin and name.startswith("x/")]
-    scopes = {name: Oscilloscope(sampler, [name], span=0.05) for name in pins}
+    scopes = {name: Oscilloscope(sampler, [name], window_s=0.05) for name in pins}
     for name, scope in scopes.items():
         scope.set_trigger("normal", name, True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
@@ -72,7 +75,7 @@ def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sa
 
 
 def test_auto_mode_shows_the_newest_window_also_after_going_back(session, sampler):
-    scope = Oscilloscope(sampler, ["x/org"], span=0.01)
+    scope = Oscilloscope(sampler, ["x/org"], window_s=0.01)
     scope.set_trigger("auto", "x/org")
     run_at_once(session, session.stage.run, 1.5)
     assert scope.capture_frame(10).end == pytest.approx(sampler.last_time)
@@ -85,7 +88,7 @@ def test_auto_mode_shows_the_newest_window_also_after_going_back(session, sample
 @pytest.mark.parametrize("mode", ["single", "normal"])
 def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
     """A window of 1 s that fills up in steps of 0.1 s"""
-    scope = Oscilloscope(sampler, ["x/rate"], span=1.0)
+    scope = Oscilloscope(sampler, ["x/rate"], window_s=1.0)
     scope.set_trigger(mode, "x/rate", True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     first = scope.capture_frame(10)
@@ -101,7 +104,7 @@ def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
 
 def test_the_latest_trigger_with_a_full_window_is_shown(session, sampler):
     """Two moves since the last look, the second just begun"""
-    scope = Oscilloscope(sampler, ["x/rate"], span=0.4)
+    scope = Oscilloscope(sampler, ["x/rate"], window_s=0.4)
     scope.set_trigger("normal", "x/rate", True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     run_at_once(session, session.stage.run, 0.4)
@@ -116,7 +119,7 @@ def test_the_latest_trigger_with_a_full_window_is_shown(session, sampler):
 
 
 def test_a_trigger_after_the_restored_time_is_forgotten(session, sampler):
-    scope = Oscilloscope(sampler, ["x/rate"], span=0.1)
+    scope = Oscilloscope(sampler, ["x/rate"], window_s=0.1)
     scope.set_trigger("normal", "x/rate", True, 8000.0)
     begin = session.do(lambda stage: stage.snapshot())
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
@@ -129,13 +132,13 @@ def test_a_trigger_after_the_restored_time_is_forgotten(session, sampler):
 
 
 def test_a_stopped_picture_has_the_same_end_or_trigger_in_another_window(session, sampler):
-    free, single = Oscilloscope(sampler, ["x/rate"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.05)
+    free, single = Oscilloscope(sampler, ["x/rate"], window_s=0.1), Oscilloscope(sampler, ["x/rate"], window_s=0.05)
     single.set_trigger("single", "x/rate", True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     end, trigger = free.capture_frame(10).end, single.capture_frame(10).trigger
     free.running = False
-    free.set_span(0.02)
-    single.set_span(0.01)
+    free.set_window_length(0.02)
+    single.set_window_length(0.01)
     run_at_once(session, session.stage.run, 0.2)
     displayed, caught = free.capture_frame(10), single.capture_frame(10)
     assert (displayed.begin, displayed.end) == pytest.approx((end - 0.02, end))
@@ -144,7 +147,7 @@ def test_a_stopped_picture_has_the_same_end_or_trigger_in_another_window(session
 
 def test_a_window_that_cannot_be_is_refused(sampler):
     with pytest.raises(ArgumentError, match=r"0\.001 to 60"):
-        Oscilloscope(sampler, [], span=100)
+        Oscilloscope(sampler, [], window_s=100)
     with pytest.raises(ArgumentError, match="free, auto"):
         Oscilloscope(sampler).set_trigger("sometimes")
 

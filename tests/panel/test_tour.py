@@ -9,7 +9,7 @@ from stage import Stage, firmware
 from stage.firmware.driver import Speeds, get_driver
 from stage.panel import tour as tours
 from stage.panel.session import FREE, Session
-from stage.panel.tour import MAX_RATES, QUIET_TIME_S, SAMPLE_TIME_S, SIMULTANEITY_S, STEPS, AxisRun, Tour
+from stage.panel.tour import MAX_RATES, QUIET_TIME_S, SAMPLE_TIME_S, SIMULTANEITY_S, STEPS, AxisMotion, Tour
 
 
 @pytest.mark.slow
@@ -49,14 +49,14 @@ def test_each_step_waits_until_it_has_been_done(chips):
 
 
 def test_a_drive_with_two_speeds_has_two_plateaus():
-    assert AxisRun([500, 900, 1000, 1000, 1000, 600, 300]).list_plateaus() == [1000]
-    assert AxisRun([500, 1000, 1000, 1001, 1500, 2000, 2000, 2000, 700]).list_plateaus() == [1000, 2000]
+    assert AxisMotion([500, 900, 1000, 1000, 1000, 600, 300]).list_plateaus() == [1000]
+    assert AxisMotion([500, 1000, 1000, 1001, 1500, 2000, 2000, 2000, 700]).list_plateaus() == [1000, 2000]
 
 
 def test_two_rates_speed_up_while_an_origin_return_slows_down():
     up, down = [500] * 4 + [2000] * 4, [2000] * 4 + [500] * 4
     for rates, observed in ((up, True), (down, False)):
-        assert STEPS[4].done(SimpleNamespace(finished=[("x", AxisRun(rates))])) == observed
+        assert STEPS[4].done(SimpleNamespace(finished=[("x", AxisMotion(rates))])) == observed
 
 
 class Slices:
@@ -162,7 +162,7 @@ def watched():
     ],
 )  # fmt: skip
 def test_a_plateau_is_three_rates_within_a_thirtieth_and_another_is_a_fifth_away(rates, expected):
-    assert AxisRun(rates).list_plateaus() == expected
+    assert AxisMotion(rates).list_plateaus() == expected
 
 
 def observed(number, *drives):
@@ -177,17 +177,17 @@ def observed(number, *drives):
     ],
 )  # fmt: skip
 def test_a_ramp_begins_and_ends_slower_than_four_fifths_of_what_it_reaches(rates, ramp):
-    assert observed(1, ("x", AxisRun(rates))) == ramp
-    assert observed(1, ("y", AxisRun([5] * 9)), ("x", AxisRun(rates))) == ramp, "any drive of those"
-    assert observed(1, ("x", AxisRun(rates)), ("y", AxisRun([5] * 9))) == ramp
+    assert observed(1, ("x", AxisMotion(rates))) == ramp
+    assert observed(1, ("y", AxisMotion([5] * 9)), ("x", AxisMotion(rates))) == ramp, "any drive of those"
+    assert observed(1, ("x", AxisMotion(rates)), ("y", AxisMotion([5] * 9))) == ramp
 
 
 def test_the_two_rates_step_needs_one_run_that_speeds_up_between_plateaus():
     slow, fast = [500] * 3, [2000] * 3
-    assert observed(4, ("x", AxisRun(slow + fast)))
-    assert observed(4, ("x", AxisRun(fast + slow + fast))), "also later"
-    assert not observed(4, ("x", AxisRun(slow)), ("x", AxisRun(fast)))
-    assert not observed(4, ("x", AxisRun(fast + slow)))
+    assert observed(4, ("x", AxisMotion(slow + fast)))
+    assert observed(4, ("x", AxisMotion(fast + slow + fast))), "also later"
+    assert not observed(4, ("x", AxisMotion(slow)), ("x", AxisMotion(fast)))
+    assert not observed(4, ("x", AxisMotion(fast + slow)))
 
 
 @pytest.mark.parametrize(
@@ -203,9 +203,9 @@ def test_the_two_rates_step_needs_one_run_that_speeds_up_between_plateaus():
     ],
 )  # fmt: skip
 def test_drives_of_two_axes_are_together_where_they_overlap_and_end_within_a_tenth_of_a_second(first, second, together):
-    drives = [(name, AxisRun(begin=began, end=ended)) for name, began, ended in (first, second)]
+    drives = [(name, AxisMotion(begin=began, end=ended)) for name, began, ended in (first, second)]
     assert observed(5, *drives) == together
-    between = ("x", AxisRun(begin=-9.0, end=-8.0))
+    between = ("x", AxisMotion(begin=-9.0, end=-8.0))
     assert not observed(5, drives[0], between, drives[1]), "one right after the other ends"
     assert observed(5, between, *drives) == together
 

@@ -9,8 +9,8 @@ from recorded.environments import draw_action, read_end, read_step
 from recorded.observation import attempt
 from support.mirrored import mirrored
 
-from stage.envs.drifting_home import action_of as a_return
-from stage.envs.few_shot import action_of as a_move
+from stage.envs.drifting_home import make_action as a_return
+from stage.envs.few_shot import make_action as a_move
 
 SHORT = {
     "DriftingHome": {"model": "xy", "reach": 0.002, "returns": 3, "limit": 0.8},

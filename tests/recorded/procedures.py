@@ -122,7 +122,7 @@ def make_profiles(cls):
         results[k] = [
             str(p), p.registers(), [p.rate_per_speed_step, p.fl, p.fh1, p.fh2, p.get_accel_time(), p.get_accel_time(True),
              p.get_decel_time(), p.get_decel_time(True), p.get_high_speed(True)],
-            [[p.for_distance(n).R2, p.for_distance(n, True).R3, p.down_point(n), p.down_point(n, True),
+            [[p.for_distance(n).R2, p.for_distance(n, True).R3, p.compute_ramp_down_point(n), p.compute_ramp_down_point(n, True),
               p.estimate_seconds(n)] for n in (1, 50, 900, 10**5)],
         ]  # fmt: skip
     return results
@@ -150,7 +150,7 @@ def plan_moves():
             results[k] = str(error)
             continue
         rows = {
-            n: [a.row.tolist(), a.fl, a.fh, a.has_ramps, a.span, a.accel_time, a.decel_time, a.offset]
+            n: [a.row.tolist(), a.fl, a.fh, a.has_ramps, a.curved_end_steps, a.accel_time, a.decel_time, a.offset]
             for n, a in p.axes.items()
         }
         results[k] = [str(p), rows, str(p.deviation), p.perfect, p.distances]

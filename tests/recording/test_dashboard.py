@@ -13,8 +13,8 @@ from stage import Drive
 from stage.chips import HCTL1100, MCX501, PCL240K
 from stage.drives.dc_motors import Servo
 from stage.recording.axis_series import SERIES, make_plot_title, select_series
-from stage.recording.blueprint import BACKGROUND, MARGIN, build_dashboard, find_eye
 from stage.recording.recording import find_column_unit
+from stage.recording.rerun_blueprint import BACKGROUND, MARGIN, build_dashboard, find_eye
 
 pytest.importorskip("rerun")
 FLOOR = '<geom type="plane" size="0 0 1" pos="0.3 0.2 -0.4"/>'

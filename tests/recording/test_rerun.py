@@ -15,7 +15,7 @@ from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, rerun_
 from stage import Drive
 from stage.chips import PCL240K
 from stage.chips.journal_entries import INPUT
-from stage.recording import Recording, geom_archetypes, pin_signals
+from stage.recording import Recording, pin_signals, rerun_geoms
 from stage.recording.axis_series import SERIES, select_series
 from stage.recording.line_thinning import mark_needed_samples
 
@@ -184,19 +184,19 @@ def test_a_geom_has_the_mean_color_of_its_texture():
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><asset>{''.join(texts)}</asset><worldbody>{body}</worldbody></mujoco>"
     )
-    colours = [geom_archetypes.find_color(model, g).tolist() for g in range(3)]
+    colours = [rerun_geoms.find_color(model, g).tolist() for g in range(3)]
     assert colours == [[102, 102, 102, 255], [255, 0, 0, 255], [0, 0, 255, 255]]
 
 
 def test_geoms_of_every_kind_have_their_shape_size_and_colour():
     model = mujoco.MjModel.from_xml_string(SHAPES)
-    assert geom_archetypes.find_floor(model) == 0
+    assert rerun_geoms.find_floor(model) == 0
     plane = '<geom name="floor" type="plane" size="0 0 1"/>'
     for other, result in [("", None), ('euler="0 5 0"', None), ('quat="-1 0 0 0"', 0), ('euler="0 0 90"', None)]:
         xml = SHAPES.replace(plane, plane.replace("/>", f" {other}/>") if other else "")
-        assert geom_archetypes.find_floor(mujoco.MjModel.from_xml_string(xml)) == result, other
-    assert dict(geom_archetypes.list_shapes(model, 0)) == {}
-    shapes = dict(geom_archetypes.list_shapes(model, 1))
+        assert rerun_geoms.find_floor(mujoco.MjModel.from_xml_string(xml)) == result, other
+    assert dict(rerun_geoms.list_shapes(model, 0)) == {}
+    shapes = dict(rerun_geoms.list_shapes(model, 1))
     kinds = {"boxes", "spheres", "ellipsoids", "cylinders", "capsules"}
     mesh = next(name for name in shapes if name.startswith("mesh"))
     assert set(shapes) == kinds | {mesh}
@@ -206,9 +206,9 @@ def test_geoms_of_every_kind_have_their_shape_size_and_colour():
     assert shapes["cylinders"].lengths.as_arrow_array().to_pylist() == pytest.approx([0.4])
     assert shapes["capsules"].translations.as_arrow_array().to_pylist() == [pytest.approx([0, 0, 0.8])]
     vertices = np.array(shapes[mesh].vertex_positions.as_arrow_array().to_pylist())
-    wall = dict(geom_archetypes.list_shapes(model, 2))["planes"]
+    wall = dict(rerun_geoms.list_shapes(model, 2))["planes"]
     assert wall.half_sizes.as_arrow_array().to_pylist() == [
-        pytest.approx([0.5, 2 * model.stat.extent, geom_archetypes.PLANE_THICKNESS_M])
+        pytest.approx([0.5, 2 * model.stat.extent, rerun_geoms.PLANE_THICKNESS_M])
     ]
     assert sorted(map(tuple, np.unique(vertices.round(5) + 0.0, axis=0))) == [
         (0, 0, 0),

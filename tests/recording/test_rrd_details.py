@@ -13,7 +13,7 @@ import pytest
 from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, stage_of
 
 from stage.chips import HCTL1100
-from stage.recording import geom_archetypes, rerun_log, rerun_scene, rerun_viewer, saved_recording
+from stage.recording import rerun_geoms, rerun_log, rerun_scene, rerun_viewer, saved_recording
 from stage.recording.recording import ROWS, Recording, RecordingError
 from stage.recording.rerun_log import STATES, StateLanes
 
@@ -276,20 +276,20 @@ def test_the_floor_is_level_and_of_the_world():
     """a plane of a body, a wall, then the floor, turned round its own axis by half a turn"""
     plane = '<geom type="plane" size="1 1 1" {}/>'
     inside = f'<body pos="0 0 1">{plane.format("")}</body>'
-    assert geom_archetypes.find_floor(model_of(inside)) is None
+    assert rerun_geoms.find_floor(model_of(inside)) is None
     model = model_of(plane.format('euler="0 90 0"') + plane.format('quat="-1 0 0 0"') + plane.format("") + inside)
-    assert geom_archetypes.find_floor(model) == 1
+    assert rerun_geoms.find_floor(model) == 1
 
 
 def test_a_plane_is_a_slab_of_its_size_or_of_the_models_where_it_is_endless():
     """a wall that faces +x: its slab lies behind it"""
     model = model_of('<body><geom type="plane" size="0.5 900 .1" pos="3 0 0" euler="0 90 0"/><geom size=".1"/></body>')
-    ((_, shape),) = [s for s in geom_archetypes.list_shapes(model, 1) if s[0] == "planes"]
+    ((_, shape),) = [s for s in rerun_geoms.list_shapes(model, 1) if s[0] == "planes"]
     far = 2 * float(model.stat.extent)
     assert far < 900
     half, centre, turn = arrays(shape, "half_sizes", "centers", "quaternions")
-    assert half[0] == pytest.approx([0.5, far, geom_archetypes.PLANE_THICKNESS_M], rel=1e-6)
-    assert centre[0] == pytest.approx([3 - geom_archetypes.PLANE_THICKNESS_M, 0, 0], abs=1e-6)
+    assert half[0] == pytest.approx([0.5, far, rerun_geoms.PLANE_THICKNESS_M], rel=1e-6)
+    assert centre[0] == pytest.approx([3 - rerun_geoms.PLANE_THICKNESS_M, 0, 0], abs=1e-6)
     assert turn[0] == pytest.approx([0, 0.5**0.5, 0, 0.5**0.5], abs=1e-6), "x y z w"
 
 
@@ -301,7 +301,7 @@ def test_a_mesh_is_rotated_and_placed_with_outward_faces():
         '<geom name="named" type="mesh" mesh="large" pos="5 0 0" euler="0 0 90"/></body>',
         wedge.format("small", s=1) + wedge.format("large", s=2),
     )
-    shapes = dict(geom_archetypes.list_shapes(model, 1))
+    shapes = dict(rerun_geoms.list_shapes(model, 1))
     assert list(shapes) == ["mesh_0", "mesh_named"]
     for name, corners in (
         ("mesh_0", [(-9, 0, 0), (-8, 0, 0), (-9, 1, 0), (-9, 0, 1)]),
@@ -324,7 +324,7 @@ def test_a_capsule_begins_at_its_lower_end_and_a_sphere_is_round():
         '<body><geom type="capsule" size=".1 .4" pos="1 2 3" euler="0 90 0"/><geom type="cylinder" size=".2 .3" pos="4 5 6"/>'
         '<geom type="sphere" size=".5"/><geom type="ellipsoid" size=".1 .2 .3"/></body>'
     )
-    shapes = dict(geom_archetypes.list_shapes(model, 1))
+    shapes = dict(rerun_geoms.list_shapes(model, 1))
     lengths, radii, at = arrays(shapes["capsules"], "lengths", "radii", "translations")
     assert (lengths[0], radii[0]) == pytest.approx((0.8, 0.1))
     assert at[0] == pytest.approx([0.6, 2, 3], abs=1e-6)
@@ -340,14 +340,14 @@ def test_a_colour_is_clipped_rounded_and_that_of_the_first_material_too():
         '<geom size="1" rgba=".501 2 -1 1"/><geom size="1" material="first" rgba="1 1 1 1"/>',
         '<material name="first" rgba="0 1 0 .5"/>',
     )
-    assert geom_archetypes.find_color(model, 0).tolist() == [128, 255, 0, 255]
-    assert geom_archetypes.find_color(model, 1).tolist() == [0, 255, 0, 128]
+    assert rerun_geoms.find_color(model, 0).tolist() == [128, 255, 0, 255]
+    assert rerun_geoms.find_color(model, 1).tolist() == [0, 255, 0, 128]
 
 
 def test_poses_are_those_of_each_row():
     """two rows of a slide along x: bodies and sites, quaternions as x y z w"""
     model = mujoco.MjModel.from_xml_string(ONE_AXIS.replace("<geom", '<site name="s" pos="0 .5 0"/><geom'))
-    xpos, xquat, sites = geom_archetypes.compute_poses(model, np.array([[0.1], [0.3]]))
+    xpos, xquat, sites = rerun_geoms.compute_poses(model, np.array([[0.1], [0.3]]))
     assert xpos[:, 1, 0] == pytest.approx([0.1, 0.3])
     assert xquat[:, 1].tolist() == [[0, 0, 0, 1]] * 2
     assert sites[:, 0].tolist() == [pytest.approx([0.1, 0.5, 0]), pytest.approx([0.3, 0.5, 0])]

@@ -11,7 +11,7 @@ import pytest
 from support.recording_bench import read_rrd
 
 from stage.recording import pin_signals, rerun_scene
-from stage.recording.geom_archetypes import compute_poses, is_visible
+from stage.recording.rerun_geoms import compute_poses, is_visible
 from stage.recording.rerun_scene import Scene, make_body_entity_path
 
 rr = pytest.importorskip("rerun")

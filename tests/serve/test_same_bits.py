@@ -10,7 +10,7 @@ import pytest
 from support.served import serving
 
 from stage import Stage
-from stage.board import Board, NativeHost, NoCompilerError, build, include
+from stage.board import Board, NativeHost, NoCompilerError, build, get_include_folder
 from stage.board.firmware_library import find_compiler
 from stage.chips import MCX304, PCL240MK
 from stage.serve import client
@@ -87,7 +87,8 @@ def program(folder: Path, *arguments: str) -> Path:
         pytest.skip(str(error))
     built = folder / "program"
     subprocess.run(
-        [*name.split(), *STRICT, "-DPULSESTAGE_REMOTE", f"-I{include()}", *arguments, "-o", str(built)], check=True
+        [*name.split(), *STRICT, "-DPULSESTAGE_REMOTE", f"-I{get_include_folder()}", *arguments, "-o", str(built)],
+        check=True,
     )
     return built
 
@@ -203,7 +204,15 @@ def test_c_plus_plus_and_several_files_are_fine(served, tmp_path):
         "#include <pulsestage.h>\nint other() { ps_out8(0x301, 3); return ps_in8(0x500) - 250; }\n"
     )
     built = tmp_path / "program"
-    flags = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DPULSESTAGE_REMOTE", f"-I{include()}"]
+    flags = [
+        "-std=c++17",
+        "-Wall",
+        "-Wextra",
+        "-pedantic",
+        "-Werror",
+        "-DPULSESTAGE_REMOTE",
+        f"-I{get_include_folder()}",
+    ]
     names = [str(tmp_path / name) for name in ("a.cpp", "b.cpp")]
     subprocess.run([*find_compiler("a.cpp").split(), *flags, *names, "-o", str(built)], check=True)
     assert subprocess.run([str(built), served.address], check=False).returncode == 5
@@ -257,7 +266,8 @@ def test_timers_tick_over_tcp_at_the_nanosecond_they_tick_at_in_process(served, 
     with NativeHost(build(source, tmp_path / "ticks.so"), custom) as h:
         assert h.run().code == 0
     subprocess.run(
-        [command, *STRICT, "-DPULSESTAGE_REMOTE", f"-I{include()}", str(source), "-o", str(program)], check=True
+        [command, *STRICT, "-DPULSESTAGE_REMOTE", f"-I{get_include_folder()}", str(source), "-o", str(program)],
+        check=True,
     )
     assert subprocess.run([str(program), served.address], check=False).returncode == 0
     assert len(custom.log) > 10

@@ -14,7 +14,7 @@ import pytest
 from support.served import serving
 
 from stage import StageError
-from stage.board import include
+from stage.board import get_include_folder
 from stage.serve import client, server
 from stage.serve.client import ServerError
 
@@ -401,7 +401,7 @@ def test_the_client_s_numbers_are_those_of_the_board():
     for name in ("UNTIL8", "UNTIL16", "UNTIL_LINE"):
         assert getattr(client, name) == getattr(request_batch, name)
     assert client.ENTRY.size == request_batch.ENTRY.itemsize
-    header = (include() / "pulsestage_remote.h").read_text()
+    header = (get_include_folder() / "pulsestage_remote.h").read_text()
     assert (
         "PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_TIMER = 13, PS_F_INTERRUPT = 254, PS_F_ERROR = 255"
         in header

@@ -16,7 +16,7 @@ from stage.errors import ArgumentError
 from stage.study import PresetMoves, open_study, preset_move_objective, run
 from stage.study.preset_move_objective import (
     FAILURE_PENALTY_S,
-    Range,
+    RegisterRange,
     _combine_measures,
     _measure_move,
     build_profile,
@@ -189,8 +189,8 @@ def test_an_invalid_objective_is_refused_before_its_first_trial(options, message
 def test_values_of_a_register_are_one_value_several_or_a_range():
     assert parse_register_values("R7", 12) == parse_register_values("R7", "12") == (12,)
     assert parse_register_values("R7", "12,24") == (12, 24)
-    assert parse_register_values("R2", "400:2800") == Range(400, 2800, False)
-    assert parse_register_values("R4", "60:800:log") == Range(60, 800, True)
+    assert parse_register_values("R2", "400:2800") == RegisterRange(400, 2800, False)
+    assert parse_register_values("R4", "60:800:log") == RegisterRange(60, 800, True)
 
 
 @pytest.mark.parametrize("text", ["", "a", "5:4", "0:9:log", "1:9:lin", "1:9/3", "1:2:log:3", "1.5", "-5:5", "-5", -5])

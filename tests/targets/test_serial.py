@@ -17,7 +17,7 @@ from support.target_boards import board_of
 
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.serial_ends import open_end
+from stage.board.serial_pty_and_tcp import open_end
 from stage.board.serial_script import format_script, read_script
 from stage.chips import PCL240K
 from stage.cli import main

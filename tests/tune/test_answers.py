@@ -17,7 +17,7 @@ from stage.firmware.driver import Speeds
 from stage.tune import Task, proof, tune, tuning
 from stage.tune.bus_listing import RegisterValue
 from stage.tune.move_runner import MoveOutcomes
-from stage.tune.planners import MovePlan, create_planner
+from stage.tune.register_planners import MovePlan, create_planner
 from stage.tune.result import Answer, TuningResult
 from stage.tune.search import Trial
 

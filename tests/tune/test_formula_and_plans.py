@@ -15,8 +15,8 @@ from stage.tune.bus_listing import BusCycle
 from stage.tune.c_header import format_c_header
 from stage.tune.formula import SAFETY_FACTOR, Load, compute_speeds, measure_unloaded_pull_in
 from stage.tune.move_runner import MoveOutcomes
-from stage.tune.planners import MovePlan, create_planner
 from stage.tune.position_sampler import PositionSampler
+from stage.tune.register_planners import MovePlan, create_planner
 from stage.tune.search import compute_time_limit
 
 

@@ -16,7 +16,7 @@ from stage.errors import ArgumentError
 from stage.tune import MoveCase, Task, tune
 from stage.tune.machine_tolerances import draw_machines, find_spreads, fit_machine
 from stage.tune.move_runner import MoveRunner
-from stage.tune.planners import create_planner
+from stage.tune.register_planners import create_planner
 from stage.tune.result import TuningResult
 
 PULSES, PAYLOAD = 400, 2.0

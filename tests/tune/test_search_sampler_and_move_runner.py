@@ -11,7 +11,7 @@ from stage.firmware.driver import Speeds
 from stage.tune import MoveCase, Task, search, tuning
 from stage.tune.formula import SAFETY_FACTOR
 from stage.tune.move_runner import MoveOutcomes, MoveRunner
-from stage.tune.planners import MovePlan, create_planner
+from stage.tune.register_planners import MovePlan, create_planner
 
 CASES = [MoveCase((0.0, 2.0, 2.6)[k % 3], 1.0 + k, 1 - 2 * (k % 2)) for k in range(8)] + [MoveCase(2.6, 9.0, 1)]
 

@@ -11,7 +11,7 @@ from stage.errors import ArgumentError
 from stage.tune import MoveCase, Task
 from stage.tune.formula import FormulaChoice
 from stage.tune.move_runner import MoveOutcomes
-from stage.tune.planners import create_planner
+from stage.tune.register_planners import create_planner
 from stage.tune.search import compute_time_limit, search_registers
 
 LIMIT = 0.5

@@ -13,8 +13,8 @@ from stage.errors import ArgumentError
 from stage.sim.fleet import PlayedPrograms
 from stage.tune import MoveCase, Task
 from stage.tune.move_runner import MoveRunner
-from stage.tune.planners import create_planner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S, PositionSampler
+from stage.tune.register_planners import create_planner
 from stage.tune.task import compute_usable_travel
 
 PULSES, PAYLOAD = 400, 2.0

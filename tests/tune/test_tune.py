@@ -22,8 +22,8 @@ from stage.tune import MoveCase, Task, bus_listing, proof, tune
 from stage.tune.c_header import format_c_header
 from stage.tune.formula import Load, compute_speeds
 from stage.tune.move_runner import MoveOutcomes, MoveRunner
-from stage.tune.planners import create_planner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
+from stage.tune.register_planners import create_planner
 from stage.tune.search import compute_time_limit, search_registers
 
 PULSES, PAYLOAD = 400, 2.0

@@ -13,7 +13,7 @@ from registerbench.benchmark_tasks import Card, find_card, list_test_seeds
 from registerbench.entry_creation import digest_observation, score_episode
 from registerbench.entry_files import Entry, EntryError, read_entry
 from registerbench.package_versions import describe_environment, list_versions
-from stage.envs.stage_env import info_of
+from stage.envs.stage_env import extract_info
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 
@@ -272,7 +272,7 @@ class _Replay:
                         Difference(k, step, "end of the episode", words[last], words[bool(ends[lane])]), np.inf
                     )
                 elif last:
-                    self.compare_scores(k, score_episode(np.array(rewards[lane]), info_of(infos, lane)))
+                    self.compare_scores(k, score_episode(np.array(rewards[lane]), extract_info(infos, lane)))
                 is_over[lane] |= last
                 is_counted[lane] = not is_over[lane]
                 if is_over[lane] and report_progress:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import stage.envs
-from stage.native.load import compute_source_digest, describe_target
+from stage.native.library_loader import compute_source_digest, describe_target
 
 PHYSICS_VERSION = "2"
 """Version of the motors' physics. In version 1, which older entries do not state, motors had no core loss, and hidden machines

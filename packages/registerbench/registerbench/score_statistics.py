@@ -80,7 +80,7 @@ def _draw_bootstrap_indices(runs: int, episodes: int, draws: int, seed: int) -> 
 
 
 @dataclass(frozen=True)
-class Row:
+class ScoreRow:
     """Scores of a player on a split, over all of its runs.
 
     Attributes:
@@ -121,7 +121,7 @@ class Row:
         """Task, split, track and round; rows with the same four stand in one table."""
         return self.task, self.split, self.track, self.round
 
-    def beats(self, other: Row) -> bool:
+    def beats(self, other: ScoreRow) -> bool:
         """Return whether this player beats another: its interval of the IQM lies above, and a learner has MIN_LEARNER_RUNS runs.
 
         Args:
@@ -130,7 +130,7 @@ class Row:
         is_above = self.table_key == other.table_key and self.low > other.high
         return is_above and (self.runs >= MIN_LEARNER_RUNS or not self.learned)
 
-    def format_cells(self, others: Iterable[Row], long: bool) -> list[str]:
+    def format_cells(self, others: Iterable[ScoreRow], long: bool) -> list[str]:
         """Format the cells of this row of a table.
 
         Args:
@@ -165,7 +165,7 @@ def _format_or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def compute_rows(entries: Iterable[Entry]) -> list[Row]:
+def compute_rows(entries: Iterable[Entry]) -> list[ScoreRow]:
     """Compute a row for each task, split, track, round and player, sorted by the IQM of the return, the best first.
 
     Args:
@@ -194,7 +194,7 @@ def _require_all_test_episodes(e: Entry) -> None:
         )
 
 
-def _compute_row(runs: list[Entry]) -> Row:
+def _compute_row(runs: list[Entry]) -> ScoreRow:
     """Compute the row of a player from the entries of its runs."""
     e = runs[0]
     if len({e.run for e in runs}) < len(runs):
@@ -215,7 +215,7 @@ def _compute_row(runs: list[Entry]) -> Row:
     known = np.array([]) if regret is None else regret[np.isfinite(regret)]
     low, high = compute_interval(scores)
     mean_low, mean_high = compute_interval(scores, statistic=np.mean)
-    return Row(
+    return ScoreRow(
         task=e.task, split=e.split, track=e.track, round=e.round, player=e.player, runs=scores.shape[0], episodes=scores.shape[1],
         value=compute_iqm(scores), low=low, high=high, mean=float(scores.mean()), mean_low=mean_low, mean_high=mean_high,
         success=compute_mean("success"), regret=float(np.median(known)) if len(known) else None,

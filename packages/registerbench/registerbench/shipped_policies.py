@@ -107,7 +107,7 @@ class FinalTrySpeedFactorSearch(SpeedFactorSearch):
 
 def compute_scaled_action(speed_factor: float) -> np.ndarray:
     """Compute the action of few-shot with the usual rates times a speed factor and the usual ramps divided by it."""
-    return few_shot.action_of(
+    return few_shot.make_action(
         1000 * min(speed_factor, 1.5), 16_000 * speed_factor, 0.15 / speed_factor, 0.15 / speed_factor
     )
 

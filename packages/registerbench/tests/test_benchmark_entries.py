@@ -404,17 +404,17 @@ def test_a_policy_class_is_instantiated_and_recorded_actions_follow_their_episod
 def test_shipped_players_use_the_boldness_that_their_task_requires_by_default():
     from registerbench.policies import make_player
     from registerbench.shipped_policies import compute_scaled_action
-    from stage.envs.few_shot import action_of
+    from stage.envs.few_shot import make_action
 
     bold = {
         (task, name): make_player(name, task, 0).act(None, {})
         for task in ("few-shot", "few-shot-wide")
         for name in ("usual", "fixed")
     }
-    assert bold["few-shot", "usual"].tolist() == action_of(1000, 16_000, 0.15, 0.15).tolist()
-    assert bold["few-shot", "fixed"].tolist() == action_of(1500, 54_400, 0.15 / 3.4, 0.15 / 3.4).tolist()
-    assert bold["few-shot-wide", "fixed"].tolist() == action_of(1500, 41_600, 0.15 / 2.6, 0.15 / 2.6).tolist()
-    assert compute_scaled_action(1.2).tolist() == action_of(1200, 19_200, 0.125, 0.125).tolist()
+    assert bold["few-shot", "usual"].tolist() == make_action(1000, 16_000, 0.15, 0.15).tolist()
+    assert bold["few-shot", "fixed"].tolist() == make_action(1500, 54_400, 0.15 / 3.4, 0.15 / 3.4).tolist()
+    assert bold["few-shot-wide", "fixed"].tolist() == make_action(1500, 41_600, 0.15 / 2.6, 0.15 / 2.6).tolist()
+    assert compute_scaled_action(1.2).tolist() == make_action(1200, 19_200, 0.125, 0.125).tolist()
 
 
 def test_a_random_player_keeps_to_the_actions_that_are_allowed():

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from stage.board.serial_ends import PtyEnd
+from stage.board.serial_pty_and_tcp import PtyEnd
 from stage.board.uart_wire import UartWire
 from stage.errors import ArgumentError
 

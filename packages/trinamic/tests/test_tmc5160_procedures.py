@@ -6,7 +6,7 @@ from stage import Stage, firmware
 from stage.firmware.driver import get_driver_class
 from stage.tune import Task, bus_listing
 from stage.tune.c_header import format_c_header
-from stage.tune.planners import create_planner
+from stage.tune.register_planners import create_planner
 
 
 @pytest.mark.parametrize(("limited", "other"), [("x", "y"), ("y", "x")])

@@ -179,13 +179,13 @@ def get_now(host):
 
 
 @hot
-def enter(host):
+def claim_board(host):
     """Claim the board for a request; return False if another request is being answered."""
     return claim(host.own + INSIDE, ENGINE)
 
 
 @hot
-def leave(host):
+def release_board(host):
     """Release the board at the end of a request."""
     release(host.own + INSIDE, ENGINE)
 
@@ -201,10 +201,10 @@ def call_host_function(host, function, argument):
         function: Address of the function.
         argument: Argument of the function.
     """
-    leave(host)
+    release_board(host)
     _call(function, (argument,))
     enter_usual_float_mode()
-    while not enter(host):  # another thread is inside, and soon out
+    while not claim_board(host):  # another thread is inside, and soon out
         pass
 
 

@@ -152,8 +152,8 @@ def _write_8_bits(host, port, value):
             _access_device(host, p, host_record.OUT8, value)
         elif kind == DEVICE:
             _access_device(host, p, OUT16, value << 8 | 0xFF if p.mask == host_record.UPPER else value | 0xFF00)
-        whole = kind == host_record.LATCH or (kind == DEVICE and p.mask == EIGHT)
-        append_to_trace(host, OUT if whole else OUT | STRAY, port, value, -1)
+        reaches_all_bits = kind == host_record.LATCH or (kind == DEVICE and p.mask == EIGHT)
+        append_to_trace(host, OUT if reaches_all_bits else OUT | STRAY, port, value, -1)
     host_time.call_hooks(host)
 
 
@@ -463,7 +463,7 @@ def request(host, code, a, b):
 
     Prototype in C: int64_t request(void *host, int32_t what, int64_t a, int64_t b).
     """
-    if (host.in_python and code < host_record.FROM_PYTHON) or not host_record.enter(host):
+    if (host.in_python and code < host_record.FROM_PYTHON) or not host_record.claim_board(host):
         if code < host_record.FROM_PYTHON:
             host.collided = 1
         return host_record.BUS_BUSY
@@ -472,7 +472,7 @@ def request(host, code, a, b):
     mode = enter_usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
     value = execute(host, code & (host_record.FROM_PYTHON - 1), a, b)
     restore_previous_float_mode(mode)
-    host_record.leave(host)
+    host_record.release_board(host)
     return value
 
 

@@ -104,7 +104,7 @@ def run_batch(host, entries, answers):
         Number of entries that were executed completely, fewer than all if the board was stopped; -1 if another thread
         uses the board.
     """
-    if not host_record.enter(host):
+    if not host_record.claim_board(host):
         return -1
     mode, done = enter_usual_float_mode(), 0
     lazy, until, max_cycles = host.lazy, host.until, host.max_cycles
@@ -126,7 +126,7 @@ def run_batch(host, entries, answers):
         done -= 1
     host.lazy, host.until, host.max_cycles = lazy, until, max_cycles
     restore_previous_float_mode(mode)
-    host_record.leave(host)
+    host_record.release_board(host)
     return done
 
 

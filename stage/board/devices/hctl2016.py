@@ -32,9 +32,9 @@ class HCTL2016(CompiledDevice):
         """Current value of the counter."""
         return (self.counts[0] - int(self.registers["zero"])) & (1 << self.BITS) - 1
 
-    def name_port(self, n: int) -> str:
+    def name_port(self, register: int) -> str:
         """Return the name of the byte at a port."""
-        return ("high byte", "low byte")[n]
+        return ("high byte", "low byte")[register]
 
     def make_describer(self) -> Listener:
         """Return a function that explains bus cycles of this counter."""

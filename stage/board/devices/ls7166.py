@@ -38,9 +38,9 @@ class LS7166(CompiledDevice):
         super().__init__(name=name, encoders=(encoder,))
         self.registers["pr"] = ls7166_core.FULL - 1
 
-    def name_port(self, n: int) -> str:
+    def name_port(self, register: int) -> str:
         """Return the name of a port in traces."""
-        return ("data", "control")[n]
+        return ("data", "control")[register]
 
     def make_describer(self) -> Listener:
         """Return a function that explains bus cycles of this counter, with the command of each control byte."""

@@ -23,7 +23,7 @@ def _count_units(state, counts):
 
 
 @hot
-def _update(state, counts):
+def _update_counter(state, counts):
     """Update the counter to the present count of the encoder. Between two bus cycles only the net count matters."""
     units = _count_units(state, counts)
     steps, state.last = units - state.last, units
@@ -92,7 +92,7 @@ def _write_control(state, counts, value):
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
 def access(state, now, counts, register, kind, value):
     """Execute a bus cycle at port 0 (C/D low, data) or port 1 (C/D high, control and status)."""
-    _update(state, counts)
+    _update_counter(state, counts)
     at = 8 * state.pointer
     if register == 1:
         if kind & 1:

@@ -34,7 +34,7 @@ class Latch(CompiledDevice):
         """Current outputs."""
         return int(self.registers["value"])
 
-    def access_register(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, register: int, kind: int, value: int) -> int:
         """Write the outputs and call the user's function, or read the outputs back."""
         before = self.value
         if kind == OUT8 and value != before:
@@ -43,8 +43,8 @@ class Latch(CompiledDevice):
                 self._changed(before, value)
         return self.value
 
-    def name_port(self, n: int) -> str:
-        """Return the name of port `n`. A latch has one port, so `n` is 0."""
+    def name_port(self, register: int) -> str:
+        """Return the name of port `register`. A latch has one port, so `register` is 0."""
         return "outputs"
 
     def make_describer(self) -> Listener:

@@ -88,7 +88,7 @@ class UART(CompiledDevice):
     def read_sent(self, begin: int) -> bytes:
         """Return the bytes that have left the transmitter, from number `begin` on; at most the last 4096."""
         end = self.sent_count
-        return self._written(max(begin, end - uart_core.ROOM), end)
+        return self._get_written_bytes(max(begin, end - uart_core.ROOM), end)
 
     @property
     def free(self) -> int:
@@ -129,20 +129,20 @@ class UART(CompiledDevice):
             self.board.link.publish_devices()
         return os.ttyname(slave)
 
-    def access_register(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, register: int, kind: int, value: int) -> int:
         """Execute a bus cycle while a pseudo-terminal is connected."""
         while select.select([self._master], [], [], 0)[0] and self.registers["fed"] - self.registers["taken"] < 64:
             self.feed(os.read(self._master, 64))
-        answer = self.CORE.access(self.state[0], self.stage.now, 0, n, kind, value)
+        answer = self.CORE.access(self.state[0], self.stage.now, 0, register, kind, value)
         if (written := int(self.registers["written"])) > self._sent_to_terminal:
             with suppress(BlockingIOError):  # nobody reads there: lost, as on a line
-                os.write(self._master, self._written(self._sent_to_terminal, written))
+                os.write(self._master, self._get_written_bytes(self._sent_to_terminal, written))
             self._sent_to_terminal = written
         return int(answer)
 
-    def name_port(self, n: int) -> str:
+    def name_port(self, register: int) -> str:
         """Return the name of a register, or both names if reads and writes reach different registers."""
-        return _READ[n] if _READ[n] == _WRITTEN[n] else f"{_READ[n]}, {_WRITTEN[n]}"
+        return _READ[register] if _READ[register] == _WRITTEN[register] else f"{_READ[register]}, {_WRITTEN[register]}"
 
     def make_describer(self) -> Listener:
         """Return a function that explains bus cycles of this UART; bit 7 of LCR selects the divisor registers."""
@@ -166,7 +166,7 @@ class UART(CompiledDevice):
 
         return describe
 
-    def _written(self, begin: int, end: int) -> bytes:
+    def _get_written_bytes(self, begin: int, end: int) -> bytes:
         """Return the bytes that the firmware has written, from number `begin` to number `end`."""
         sent = self.registers["sent"]
         return bytes(int(sent[k % uart_core.SENT_ROOM]) for k in range(begin, end))

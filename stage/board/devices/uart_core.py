@@ -54,7 +54,7 @@ def _count_arrived(state, now):
 
 
 @hot
-def _update(state, now):
+def _receive_arrived_bytes(state, now):
     """Put the bytes that have arrived into the FIFO."""
     c, register = compute_character_ns(state), _count_arrived(state, now)
     room = FIFO if state.fcr & 1 else 1
@@ -96,7 +96,7 @@ def pulls(state, now, counts):
 
 
 @hot
-def _transmit(state, now, value):
+def _put_into_transmitter(state, now, value):
     """Put a byte into the transmitter, or return it to the receiver in loop mode."""
     unsent, room = count_unsent(state, now), FIFO + 1 if state.fcr & 1 else 2
     if state.divisor == 0:  # no clock on the line
@@ -127,12 +127,12 @@ def _set_divisor(state, now, divisor):
 
 
 @hot
-def _write(state, now, register, value):
+def _write_register(state, now, register, value):
     """Write a register. If bit 7 of LCR is set, the first two registers are the divisor."""
     if register < 2 and state.lcr & 0x80:
         _set_divisor(state, now, state.divisor & 0xFF00 | value if register == 0 else state.divisor & 0xFF | value << 8)
     elif register == 0:
-        _transmit(state, now, value)
+        _put_into_transmitter(state, now, value)
     elif register == 1:
         if value & 2 and state.ier & 2 == 0:
             state.armed = 1
@@ -159,7 +159,7 @@ def _control_fifos(state, now, value):
 
 
 @hot
-def _receive(state, now):
+def _take_received_byte(state, now):
     """Return the next received byte (RBR) and remove it from the FIFO."""
     if state.waiting:
         state.rbr = state.fifo[state.first]
@@ -170,7 +170,7 @@ def _receive(state, now):
 
 
 @hot
-def _line_status(state, now):
+def _read_line_status(state, now):
     """Return LSR; the read clears the overrun bit."""
     unsent, overrun = count_unsent(state, now), state.oe
     state.oe = 0
@@ -178,13 +178,13 @@ def _line_status(state, now):
 
 
 @hot
-def _modem_status(state):
+def _read_modem_status(state):
     """Return MSR. In loop mode it shows the modem control register; otherwise the peer is present and ready."""
     return (state.mcr & 2) << 3 | (state.mcr & 1) << 5 | (state.mcr & 12) << 4 if state.mcr & 16 else 0xB0
 
 
 @hot
-def _acknowledge(state, now):
+def _read_interrupt_identification(state, now):
     """Return IIR; the read ends the interrupt of an empty transmitter."""
     code = _identify_interrupt(state, now)
     if code == 2:
@@ -195,18 +195,18 @@ def _acknowledge(state, now):
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
 def access(state, now, counts, register, kind, value):
     """Execute a bus cycle at a register."""
-    _update(state, now)
+    _receive_arrived_bytes(state, now)
     if kind & 1:
-        _write(state, now, register, value)
+        _write_register(state, now, register, value)
         return 0
     if register < 2 and state.lcr & 0x80:
         return state.divisor >> 8 * register & 0xFF
     if register == 0:
-        return _receive(state, now)
+        return _take_received_byte(state, now)
     if register == 2:
-        return _acknowledge(state, now)
+        return _read_interrupt_identification(state, now)
     if register == 5:
-        return _line_status(state, now)
+        return _read_line_status(state, now)
     if register == 6:
-        return _modem_status(state)
+        return _read_modem_status(state)
     return state.ier if register == 1 else state.lcr if register == 3 else state.mcr if register == 4 else state.scr

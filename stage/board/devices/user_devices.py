@@ -60,9 +60,9 @@ class PythonDevice(UserDevice):
         if state is not None:
             self.state = [_check_state(state)]
 
-    def access_register(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, register: int, kind: int, value: int) -> int:
         """Call the user's function for a read or a write."""
-        port = self.get_board_port(n)
+        port = self.get_board_port(register)
         if kind in (OUT8, OUT16):
             if self.write is not None:
                 self.write(port, value)

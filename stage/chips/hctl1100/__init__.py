@@ -119,7 +119,7 @@ class HCTL1100(Chip):
         """Position (counts) and rate (counts per clock) of the shaft in the last call of `set_shaft`."""
         return float(self.state["shaft_count"]), float(self.state["shaft_rate"])
 
-    def shaft_of(self, axis: int) -> tuple[float, float]:
+    def get_shaft(self, axis: int) -> tuple[float, float]:
         self._check_axis(axis)
         return self.shaft
 

@@ -81,7 +81,7 @@ class Nova(Chip):
         if axis is True or axis != self.AXES:  # there are those that are no axis', see `pins`
             super()._check_pins(axis)
 
-    def shaft_of(self, axis: int) -> tuple[float, float]:
+    def get_shaft(self, axis: int) -> tuple[float, float]:
         self._check_axis(axis)
         x = self.state["ax"][axis]
         return float(x["shaft_edges"]), float(x["shaft_rate"])

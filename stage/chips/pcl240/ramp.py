@@ -139,12 +139,12 @@ def _start_ramp(chip, goal_speed, direction):
         chip.ramp_steps = abs(goal_speed - chip.speed)
         chip.ramp_step = 0
         chip.rate_register = 4 if direction > 0 or chip.ramp_down_due else 5
-        chip.ramp_rate, chip.twice_span = chip.reg[chip.rate_register], _compute_twice_span(chip)
+        chip.ramp_rate, chip.twice_span = chip.reg[chip.rate_register], _compute_twice_curved_end_steps(chip)
         schedule_next_step(chip)
 
 
 @hot
-def _compute_twice_span(chip):
+def _compute_twice_curved_end_steps(chip):
     """Compute 2 S, twice the steps of a curved end, from the present value of R14 or R15."""
     span = chip.reg[state.R14 if chip.ramp_direction > 0 else state.R15] & state.SPAN
     return chip.ramp_steps if span == 0 or 2 * span > chip.ramp_steps else 2 * span
@@ -178,7 +178,7 @@ def finish_step(chip):
     that at which a ramp with these values from its start would take the same step.
     """
     chip.ramp_step += 1
-    double = _compute_twice_span(chip)
+    double = _compute_twice_curved_end_steps(chip)
     if chip.reg[chip.rate_register] != chip.ramp_rate or double != chip.twice_span:
         chip.ramp_rate, chip.twice_span = chip.reg[chip.rate_register], double
         if chip.ramp_rate:

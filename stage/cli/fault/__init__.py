@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         width = max(map(len, claims)) + 2
         print("\n".join(f"{name:{width}}{claim}" for name, claim in claims.items()))
         return 0
-    demonstrations.find_key(args.name)
+    demonstrations.find_demonstration_key(args.name)
     check_outputs(args)
     record = partial(record_for_plot, args, interval=SAMPLE_INTERVAL_S)
     result = demonstrations.run_demonstration(args.name, partial(make_stage, args), record, args.plot is not None)

@@ -131,7 +131,7 @@ def _format_figure(name: str, first: Any, second: Any, unit: str) -> tuple[str, 
     return name, *(f"{v:.4f}" if isinstance(v, float) else str(v) for v in (first, second))
 
 
-def find_key(name: str) -> str:
+def find_demonstration_key(name: str) -> str:
     """Return the key of DEMOS for a typed name of a demonstration. Raises ArgumentError, with similar names, for an unknown one."""
     key = name.lower().replace("_", "-")
     if key not in DEMOS:
@@ -154,7 +154,7 @@ def run_demonstration(
         ArgumentError: No demonstration has this name.
         StageError: The stage cannot show the fault; the error says why.
     """
-    key = find_key(name)
+    key = find_demonstration_key(name)
     stage = make()
     demo, axis = DEMOS[key], host_programs.get_first_axis(stage)
     if get_driver(axis).has_position_loop:

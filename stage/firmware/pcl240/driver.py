@@ -200,7 +200,7 @@ class Pcl240Driver(Driver):
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         p = Profile.of(fl, fh, fh, accel=up, decel=down, clock_hz=self.chip.clock_hz)
-        result = {**p.registers(), "R6": p.down_point(pulses)}
+        result = {**p.registers(), "R6": p.compute_ramp_down_point(pulses)}
         curved = [name for name in S_CURVE_REGISTERS if name in self.list_move_registers(s_curve)]
         return {**result, **dict.fromkeys(curved, 0)}  # curved throughout
 

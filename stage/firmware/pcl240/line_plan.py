@@ -266,14 +266,14 @@ def plan(
 def _check_distance(name: str, distance: Any) -> int:
     """Return a distance as an int. Raises ArgumentError for a number that R0 cannot count."""
     try:
-        whole = int(distance)
+        pulses = int(distance)
     except (TypeError, ValueError, OverflowError):
-        whole = None
-    if whole is None or whole != distance or abs(whole) > MAX_R0:
+        pulses = None
+    if pulses is None or pulses != distance or abs(pulses) > MAX_R0:
         raise ArgumentError(
             f"{name}={distance!r}: R0 counts whole pulses, up to {MAX_R0}; the sign is the direction. Split a longer move."
         )
-    return whole
+    return pulses
 
 
 def _get_axis_value(quantity: str, name: str, values: Any) -> Any:

@@ -87,7 +87,11 @@ def preset_move(
         control |= chip_port.AUTOMATIC
     else:
         profile = profile.for_distance(count, fh2)
-        point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.check_value("R6", down_point)
+        point = (
+            profile.compute_ramp_down_point(count, fh2)
+            if down_point is None
+            else profile.chip.MAP.check_value("R6", down_point)
+        )
     with Pcl240Observer(axis, "preset move" if high_speed else "constant-speed preset move") as p:
         write_move_setup(p.port, profile, control)
         if profile.chip.S_CURVES and not fh_correction:
@@ -109,7 +113,7 @@ def start_preset(port: ChipPort, profile: Profile, pulses: int) -> None:
     count = check_pulses_and_drop_sign(pulses)
     profile = profile.for_distance(count)
     write_move_setup(port, profile, chip_port.PRESET | encode_direction(pulses))
-    port.write_registers(R0=count, R6=profile.down_point(count))
+    port.write_registers(R0=count, R6=profile.compute_ramp_down_point(count))
     port.write_command(chip_port.RAMP["FH1"])
 
 
@@ -222,7 +226,7 @@ def interrupted_move(
     profile = full_profile.for_distance(count, fh2)
     check_seconds(after)
     check_seconds(pause)
-    point = profile.down_point(count, fh2)
+    point = profile.compute_ramp_down_point(count, fh2)
     rate = "FH2" if fh2 else "FH1"
     with Pcl240Observer(axis, "interrupted move") as p:
         write_move_setup(p.port, profile, chip_port.PRESET | encode_direction(pulses))
@@ -238,7 +242,7 @@ def interrupted_move(
             rest = full_profile.for_distance(residual, fh2)
             if rest != profile:
                 p.port.write_registers(**rest.registers())
-            p.port.write_register("R6", rest.down_point(residual, fh2))
+            p.port.write_register("R6", rest.compute_ramp_down_point(residual, fh2))
             p.port.write_command(chip_port.RAMP[rate])
             p.port.wait_until_stopped(compute_time_limit(timeout, profile, residual))
         axis.wait(SETTLING_TIME_S)

@@ -57,7 +57,7 @@ def has_s_curve_ramps(row):
 
 
 @hot
-def compute_double_span(r14, steps):
+def compute_twice_curved_end_steps(r14, steps):
     """Return twice the speed steps of a curved end of a ramp of `steps`."""
     span = r14 & SPAN
     return steps if span == 0 or 2 * span > steps else 2 * span
@@ -82,7 +82,11 @@ def set_s_curve_registers(row, share):
 def compute_ramp_stretch(row):
     """Return how much longer the row's ramps are, and how many more pulses they lose, than linear ones at the same R4: 1/2 to 1."""
     steps = row[2] - row[1]
-    return 0.5 + 0.5 * compute_double_span(row[8], steps) / steps if has_s_curve_ramps(row) and steps > 0 else 1.0
+    return (
+        0.5 + 0.5 * compute_twice_curved_end_steps(row[8], steps) / steps
+        if has_s_curve_ramps(row) and steps > 0
+        else 1.0
+    )
 
 
 @hot
@@ -90,7 +94,7 @@ def compute_ramp_ticks(row, rate_register):
     """Return the ticks of a whole ramp. `rate_register` is its acceleration rate: the value of R4 or R5."""
     steps = row[2] - row[1]
     return (
-        0.5 * (steps + compute_double_span(row[8], steps)) * rate_register
+        0.5 * (steps + compute_twice_curved_end_steps(row[8], steps)) * rate_register
         if has_s_curve_ramps(row)
         else 1.0 * steps * rate_register
     )
@@ -109,7 +113,7 @@ def _compute_mean_step_delay(ticks, rate):
 
 
 @hot
-def _compute_ramp_progress(steps, double_span, rate, ticks):
+def _compute_ramp_progress(steps, twice_curved_end_steps, rate, ticks):
     """Compute the progress of an S-curve ramp, `ticks` after its begin.
 
     The chip takes the k-th step at the first whole tick from t(k) on, see stage/chips/pcl240/ramp.py. If t(k) is a square root,
@@ -117,19 +121,19 @@ def _compute_ramp_progress(steps, double_span, rate, ticks):
 
     Args:
         steps: Speed steps of the ramp.
-        double_span: Twice the speed steps of a curved end.
+        twice_curved_end_steps: Twice the speed steps of a curved end.
         rate: R4 or R5.
         ticks: Ticks since the begin of the ramp.
 
     Returns:
         Speed steps taken, and the phase that they have gained.
     """
-    span, total, x = 0.5 * double_span, 0.5 * (steps + double_span), ticks / rate
+    span, total, x = 0.5 * twice_curved_end_steps, 0.5 * (steps + twice_curved_end_steps), ticks / rate
     a, b = (
-        double_span // 2,
-        steps - (double_span + 1) // 2,
+        twice_curved_end_steps // 2,
+        steps - (twice_curved_end_steps + 1) // 2,
     )  # the last step of the first curved end, and of the linear part
-    delay = _compute_mean_step_delay(rate * double_span, rate) if b > a else 0.0
+    delay = _compute_mean_step_delay(rate * twice_curved_end_steps, rate) if b > a else 0.0
     if x >= total:
         return steps, steps * ticks - 0.5 * rate * total * (steps + 1) - 0.5 * (a + steps - b) - delay * (b - a)
     if x <= span:
@@ -159,12 +163,12 @@ def _compute_s_curve_state(fl, fh, r14, up, down, ramp_down_tick, ramp_down_spee
     if steps <= 0:
         return fl, ramp_down_phase + u * fl
     rate = up if rising else down
-    double_span = compute_double_span(r14, steps)
-    j, gained = _compute_ramp_progress(steps, double_span, rate, u)
+    twice_curved_end_steps = compute_twice_curved_end_steps(r14, steps)
+    j, gained = _compute_ramp_progress(steps, twice_curved_end_steps, rate, u)
     if rising:
         return fl + j, u * fl + gained
     gained -= max(
-        0.0, u - 0.5 * (steps + double_span) * rate
+        0.0, u - 0.5 * (steps + twice_curved_end_steps) * rate
     )  # the mirror image: its first step at once, each one earlier
     return ramp_down_speed - 1 - min(j, steps - 1), ramp_down_phase + u * (ramp_down_speed - 1) - gained
 

@@ -274,7 +274,7 @@ def _find_down_point(profile: Profile, speeds: list[int], count: int, dwell: flo
     delay = POLL_DELAY_S * max(speeds) * profile.rate_per_speed_step * len(speeds)
     if len(speeds) > 1:
         _refuse_short_move(count, profile.compute_pulses_through(speeds, dwell) + delay)
-    return replace(profile, R2=max(speeds[-1], profile.R1)).down_point(count)
+    return replace(profile, R2=max(speeds[-1], profile.R1)).compute_ramp_down_point(count)
 
 
 def _refuse_short_move(count: int, needed: float) -> None:

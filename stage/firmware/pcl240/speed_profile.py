@@ -1,8 +1,8 @@
 """Formulas of the data sheets for speeds, and `Profile`, which chooses R1 to R5, R7 and the S-curve for rates in pps.
 
 profile = Profile.of(fl=500, fh1=16_000, accel=0.2)
-print(profile)                      the true rates and times, after rounding to registers
-profile.down_point(20_000)          R6
+print(profile)                              the true rates and times, after rounding to registers
+profile.compute_ramp_down_point(20_000)     R6
 """
 
 from __future__ import annotations
@@ -379,7 +379,7 @@ class Profile:
         """Return the time from FH1, or FH2, to FL, s."""
         return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down_span)
 
-    def down_point(self, pulses: int, fh2: bool = False) -> int:
+    def compute_ramp_down_point(self, pulses: int, fh2: bool = False) -> int:
         """Compute R6 for a preset move. Raises ArgumentError where R6 cannot hold it.
 
         Args:

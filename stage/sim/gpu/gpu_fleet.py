@@ -18,7 +18,7 @@ import numpy as np
 from stage.drives.stepper import DRIVE
 from stage.errors import ArgumentError, GpuMissing, StageError
 from stage.sim import engine_records, fleet, program_player
-from stage.sim.gpu.device_code import FEATURE_NAME, CompilerTools, DeviceModules, make_cuda_tools
+from stage.sim.gpu.gpu_compilation import FEATURE_NAME, CompilerTools, DeviceModules, make_cuda_tools
 from stage.sim.gpu.lane_memory_layout import HOST, WARP, LaneLayout
 from stage.sim.gpu.warp_physics import WarpPhysics, load_warp
 from stage.sim.program import Program

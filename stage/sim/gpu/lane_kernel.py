@@ -18,7 +18,7 @@ from typing import Any
 from stage.chips import core_interface
 from stage.drives import drive_dispatch
 from stage.sim.engine_records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, compute_clock_at
-from stage.sim.gpu.device_code import LaneChip
+from stage.sim.gpu.gpu_compilation import LaneChip
 from stage.sim.gpu.lane_memory_layout import HOST, PLAYING, WARP
 from stage.sim.program import AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP, END, MEASURE, READ, SAMPLE_POSITION, WRITE
 from stage.sim.program_player import DIVERGED, PLAYED, inspect_axis

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from stage.errors import GpuMissing, ModelError
-from stage.sim.gpu.device_code import FEATURE_NAME
+from stage.sim.gpu.gpu_compilation import FEATURE_NAME
 from stage.support.extras import import_extra
 
 POSITIONS_TRIED = 41  # of each joint, where contacts and constraints are counted

@@ -94,7 +94,7 @@ class MoveActionConverter(ActionConverter):
         return {n: argument(number(ge=low, le=high), titles[n]) for n, (low, high) in few_shot.RATES.items()}
 
     def make_action(self, **values: Any) -> Any:
-        return few_shot.action_of(**values)
+        return few_shot.make_action(**values)
 
     def choose_formula_arguments(self) -> dict[str, Any]:
         return convert_action_to_rates(self._env.scripted_action().astype(float))
@@ -121,7 +121,7 @@ class HomeActionConverter(ActionConverter):
         }
 
     def make_action(self, **values: Any) -> Any:
-        return drifting_home.action_of(**values)
+        return drifting_home.make_action(**values)
 
     def choose_formula_arguments(self) -> dict[str, Any]:
         return {**drifting_home.USUAL, "report": bool(self._env.scripted_action()[-1] > 0)}

@@ -141,7 +141,7 @@ def format_table(runs: list[MethodRun], payload: str) -> list[str]:
             f"| {format_iqm_with_interval([r.compute_mean('vibration') for r in rs], '.0f')} "
             f"| {format_loss_counts(rs, NEW_MOVES)} | {format_loss_counts(rs, SHORTER_MOVES)} "
             f"| {format_iqm_with_interval([r.spare_payload for r in rs], '.1f')} "
-            f"| {np.mean([r.kept_step_share for r in rs]):.0%} | {format_iqm_with_interval([r.lucky_moves for r in rs], '.0f')} |"
+            f"| {np.mean([r.in_step_share for r in rs]):.0%} | {format_iqm_with_interval([r.lucky_moves for r in rs], '.0f')} |"
         )
     return lines
 

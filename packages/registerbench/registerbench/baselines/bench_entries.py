@@ -20,7 +20,7 @@ from registerbench.benchmark_tasks import CARDS, OPEN_ROUND
 from registerbench.shipped_policies import TASK_PLAYERS
 
 DRAWN = ("random",)
-OPTUNA = {"tpe": "Tpe", "cma-es": "CmaEs"}
+OPTUNA = {"tpe": "TpePolicy", "cma-es": "CmaEsPolicy"}
 
 
 def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, run: int, **settings: Any) -> None:

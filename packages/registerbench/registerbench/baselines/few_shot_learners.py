@@ -26,7 +26,13 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save_policy
+from registerbench.baselines.learner_support import (
+    EpisodeRecorder,
+    LearningCurveWriter,
+    make_parser,
+    read_cost,
+    save_policy,
+)
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
@@ -98,7 +104,7 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
     policy = "MlpLstmPolicy" if method == "recurrent" else "MlpPolicy"
     model = kind(policy, envs, seed=seed, policy_kwargs=NETS[method], **SETTINGS)
     path = folder / f"{method}-{seed}"
-    model.learn(steps, callback=LearningCurve(path.with_suffix(".csv"), BATCH))
+    model.learn(steps, callback=LearningCurveWriter(path.with_suffix(".csv"), BATCH))
     envs.close()
     save_policy(model, path, steps)
 

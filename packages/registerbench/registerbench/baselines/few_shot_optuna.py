@@ -1,6 +1,6 @@
 """Optuna's samplers as policies on `stage/FewShotTuning-v1`: each machine is a study of eight trials.
 
-stage bench-submit registerbench.baselines.few_shot_optuna:Tpe --name "Optuna TPE" -o tpe.bench
+stage bench-submit registerbench.baselines.few_shot_optuna:TpePolicy --name "Optuna TPE" -o tpe.bench
 python -m registerbench.baselines.bench_entries -o entries --players tpe cma-es
 
 A study begins at the formula's answer for the nominal machine with the heaviest load. It chooses two factors on this answer: one
@@ -17,7 +17,7 @@ import numpy as np
 import optuna
 
 from stage import Stage
-from stage.envs.few_shot import action_of
+from stage.envs.few_shot import make_action
 from stage.tune.formula import Load, compute_speeds
 
 RANGES = {"rates": (0.5, 2.0), "ramps": (0.4, 2.5)}
@@ -57,17 +57,17 @@ class OptunaPolicy:
         self.trial, self.attempts = self.study.ask(self.space), self.attempts + 1
         s, factors = compute_speeds(self.load, int(info["distance"])), self.trial.params
         ramps = factors["ramps"]
-        return action_of(s.start, s.drive * factors["rates"], s.up * ramps, s.down * ramps)
+        return make_action(s.start, s.drive * factors["rates"], s.up * ramps, s.down * ramps)
 
 
-class Tpe(OptunaPolicy):
+class TpePolicy(OptunaPolicy):
     """Policy with the tree-structured Parzen estimator."""
 
     def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.TPESampler(seed=seed, n_startup_trials=3)
 
 
-class CmaEs(OptunaPolicy):
+class CmaEsPolicy(OptunaPolicy):
     """Policy with CMA-ES."""
 
     def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:

@@ -35,7 +35,7 @@ class EpisodeRecorder(VecEnvWrapper):
         return observation, rewards, ends, infos
 
 
-class LearningCurve(BaseCallback):
+class LearningCurveWriter(BaseCallback):
     """Callback that writes a row of the learning curve each `every` steps.
 
     A row has the steps, the processor seconds, and the number, mean return and success rate of the episodes since the last row.

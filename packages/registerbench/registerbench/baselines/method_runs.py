@@ -179,7 +179,7 @@ class MethodRun:
         return list(self.proof_logs).index(self.answer) if self.answer is not None else len(self.proof_logs)
 
     @property
-    def kept_step_share(self) -> float:
+    def in_step_share(self) -> float:
         """Share of the moves of the search that kept step."""
         return float(np.mean(self.search_log.in_step))
 
@@ -439,7 +439,7 @@ class MethodRuns:
             reward, duration = run.compute_mean("reward"), run.compute_mean("duration")
             text = f"{reward:.1f} ms, {duration:.1f} of it time; {lost}, {run.spare_payload:.1f} kg to spare"
         print(
-            f"{payload:6}{run.method:22} seed {seed}: {len(run.search_log):4} moves, {run.kept_step_share:4.0%} kept step, "
+            f"{payload:6}{run.method:22} seed {seed}: {len(run.search_log):4} moves, {run.in_step_share:4.0%} kept step, "
             f"{len(run.proof_logs)} repeated; {text}; took {took:.0f} s",
             flush=True,
         )

@@ -19,7 +19,13 @@ from stable_baselines3 import PPO, SAC
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save_policy
+from registerbench.baselines.learner_support import (
+    EpisodeRecorder,
+    LearningCurveWriter,
+    make_parser,
+    read_cost,
+    save_policy,
+)
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS
 from stage.envs.sb3 import StageVecEnv
 
@@ -56,7 +62,7 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
     if method == "sac":
         torch.nn.init.constant_(model.actor.log_std.bias, SPREAD)
     path = folder / f"{TASK}_{method}-{seed}"
-    model.learn(steps, callback=LearningCurve(path.with_suffix(".csv"), BATCH))
+    model.learn(steps, callback=LearningCurveWriter(path.with_suffix(".csv"), BATCH))
     envs.close()
     save_policy(model, path, steps)
 

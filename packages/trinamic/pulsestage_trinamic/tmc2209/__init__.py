@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
-from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
-from pulsestage_trinamic.step_dir_registers import StepDirRegisters
+from pulsestage_trinamic.motor_field import PLACES_PER_FULL_STEP
+from pulsestage_trinamic.step_dir_axis_with_registers import StepDirAxisWithRegisters
 from pulsestage_trinamic.tmc2209 import core, lint, maps, power_stage, state
 from pulsestage_trinamic.tmc2209.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc2209.maps import MAP
@@ -30,7 +30,7 @@ __all__ = ["TMC2209"]
 DEFAULT_BAUD = 115_200
 
 
-class TMC2209(StepDirRegisters):
+class TMC2209(StepDirAxisWithRegisters):
     """STEP/DIR axis with a TMC2209. Pins are True while asserted or high; hosts read its outputs DIAG and INDEX like switches.
 
     Positions count in the microsteps of the axis' Drive, whatever the chip is set to: a host whose steps per millimeter do not fit

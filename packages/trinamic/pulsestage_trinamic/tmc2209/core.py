@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from pulsestage_trinamic import field, load_measurement
+from pulsestage_trinamic import load_measurement, motor_field
 from pulsestage_trinamic.tmc2209 import maps, power_stage, registers, state, uart
 from pulsestage_trinamic.tmc2209.state import INPUTS, OUTPUTS, STATE
 from stage.chips.event_loop import EDGE, PULSE
@@ -49,7 +49,7 @@ def _follow_lines(c, before):
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(c, axis_index, net_before, clocks):
     """Return the mean count of the last `clocks` clocks."""
-    return field.compute_mean_place(c, clocks) / c.unit
+    return motor_field.compute_mean_position(c, clocks) / c.unit
 
 
 @exported(None, STATE)
@@ -134,7 +134,7 @@ def read_inputs(c, axis_index):
 @exported("i8", STATE, "i8")
 def read_net_count(c, axis_index):
     """Return the place of the interpolated field since power-up, in microsteps of the axis' Drive."""
-    return field.compute_net_count(c)
+    return motor_field.compute_net_count(c)
 
 
 @exported("f8", STATE, "i8", "f8")
@@ -168,7 +168,7 @@ def set_load(c, axis_index, angle, emf):
     """
     if not power_stage.is_measuring(c) or c.period == 0:
         return 0
-    lam = load_measurement.compute_load(field.correct_load_angle(c, angle), c.direction)
+    lam = load_measurement.compute_load(motor_field.correct_load_angle(c, angle), c.direction)
     load_measurement.add_load_sample(c, lam, int(1024.0 * least(emf, 1.0) + 0.5))
     return 1
 
@@ -190,7 +190,7 @@ run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_po
     _find_next_chip_event,
     _process_chip_event,
     _follow_lines,
-    field.count_moves,
+    motor_field.count_moves,
     _get_direction,
     state.DIAG,
 )

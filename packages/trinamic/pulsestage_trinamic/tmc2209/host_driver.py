@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
+from pulsestage_trinamic.motor_field import PLACES_PER_FULL_STEP
 from pulsestage_trinamic.tmc2209 import state
 from pulsestage_trinamic.tmc2209.lint import MRES
 from stage.firmware.stepdir.driver import StepDirDriver

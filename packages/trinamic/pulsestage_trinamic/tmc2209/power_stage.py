@@ -5,7 +5,7 @@ Times are in clocks of the axis, whose frequency is `c.hz`; the chip's own clock
 
 from __future__ import annotations
 
-from pulsestage_trinamic import common_power_stage, cool_step, field
+from pulsestage_trinamic import common_power_stage, cool_step, motor_field
 from pulsestage_trinamic.tmc2209 import state
 from stage.chips.stepdir.state import ENABLE
 from stage.native import greatest, hot, least
@@ -214,7 +214,7 @@ def move_field(c, places):
     has_stopped = c.clock >= compute_standstill_clock(c)
     c.period = 0 if has_stopped else c.clock - c.stepped
     before = c.mscnt >> 8
-    field.move(c, places, c.period if c.registers[state.CHOPCONF] & state.INTPOL else 0)
+    motor_field.move_field(c, places, c.period if c.registers[state.CHOPCONF] & state.INTPOL else 0)
     c.mscnt = c.mscnt + places & 1023
     c.stepped, c.direction = c.clock, 1 if places > 0 else -1
     common_power_stage.raise_current(c, c.registers[state.IHOLD_IRUN])

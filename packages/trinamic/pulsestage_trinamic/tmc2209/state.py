@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic import field
+from pulsestage_trinamic import motor_field
 from pulsestage_trinamic.tmc2209.maps import MAP, NUMBER, REGISTERS
 from stage.chips.stepdir import state as lines
 from stage.native import record
@@ -25,7 +25,7 @@ STATE = record(
         ("vref", "f8"),  # share of 2.5 V at VREF
         ("ir_share", "f8"),  # voltage of one ampere in a winding, as a share of the supply
         # sequencer: places of the field are in 1/256 full steps
-        *field.FIELDS,
+        *motor_field.FIELDS,
         ("followed", "i8"),  # `net` up to which the field has followed the steps
         ("mscnt", "i8"),
         ("stepped", "i8"),  # clock of the last step of the field

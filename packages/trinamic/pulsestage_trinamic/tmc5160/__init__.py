@@ -103,7 +103,7 @@ class TMC5160(Chip):
             raise StageError("The axis' encoder drives ENCA and ENCB; they cannot be set directly.")
         super().set_input_word(axis, word)
 
-    def shaft_of(self, axis: int) -> tuple[float, float]:
+    def get_shaft(self, axis: int) -> tuple[float, float]:
         return float(self.state["shaft"]), float(self.state["shaft_rate"])
 
     @property

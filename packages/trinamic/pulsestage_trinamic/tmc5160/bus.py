@@ -29,7 +29,7 @@ def power_up(c):
     c.events, c.reached = state.EVENT_POS, 1
     c.left = c.right = c.latched = 0
     c.enc = c.part = c.enc_pins = c.enc_met = c.enc_latch = c.enc_flags = 0
-    c.mscnt = c.toggle = c.way = c.current = c.cs = c.speeds = c.cooling = 0
+    c.mscnt = c.toggle = c.last_direction = c.current = c.cs = c.speeds = c.cooling = 0
     c.last, c.falls = clock, state.NEVER
     c.sg = c.stall = c.total = c.summed = c.count = c.full = 0
     c.lam, c.emf = 0, 1024
@@ -102,7 +102,7 @@ def compute_output_pins(c):
         events = compute_ramp_stat(c) & (state.EVENT_POS | state.EVENT_L | state.EVENT_R | state.EVENT_SG)
         word = state.DIAG0 if events or c.enc_flags else 0
     if c.reg[state.GCONF] & state.DIAG1_DIR:
-        return word | (state.DIAG1 if c.way < 0 else 0)
+        return word | (state.DIAG1 if c.last_direction < 0 else 0)
     return word | (state.DIAG1 if c.x == state.to_signed32(c.reg[state.X_COMPARE]) else 0)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pulsestage_trinamic.tmc5160 import TMC5160
 from pulsestage_trinamic.tmc5160.maps import SPI_BYTE, SPI_CS
-from stage.board.layouts import BYTE, Layout
+from stage.board.bus_layouts import BYTE, Layout
 
 SPI = Layout(
     "tmc5160", "SPI: +0 chip select (0 begins a datagram, 1 ends it), +1 a byte out, then the byte that came in", TMC5160,

@@ -222,24 +222,24 @@ def run_window(c, row_address, first_slice):
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def set_shaft(c, j, count, rate):
+def set_shaft(c, axis_index, count, rate):
     """Connect an encoder to ENCA and ENCB: `count` edges now, and `rate` edges a clock."""
     encoder.set_shaft(c, count, rate)
 
 
 @exported("f8", STATE, "i8")
-def read_motor_current(c, j):
+def read_motor_current(c, axis_index):
     """Return the amplitude of the phase currents, A."""
     return power_stage.compute_current_amplitude(c)
 
 
 @exported("i8", STATE, "i8", "f8", "f8")
-def set_load(c, j, angle, emf):
+def set_load(c, axis_index, angle, emf):
     """Store a sample of the motor's load, and return whether the chip's behavior can depend on the load.
 
     Args:
         c: State of the chip.
-        j: Axis, 0.
+        axis_index: Axis of the chip, 0.
         angle: Electrical radians by which the field leads the rotor.
         emf: Back EMF as a share of the supply.
     """
@@ -254,46 +254,46 @@ def set_fixed_load(c, lam, emf):
 
 
 @exported("i8", STATE, "i8")
-def read_net_count(c, j):
+def read_net_count(c, axis_index):
     """Return the position of the field: 1/256 full steps since power-up."""
     return c.net
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def compute_drive_input(c, j, before, ticks):
-    """Return the mean position of the field over the last `ticks`."""
-    return 0.5 * (before + c.net)
+def compute_drive_input(c, axis_index, net_before, clocks):
+    """Return the mean position of the field over the last `clocks` clocks."""
+    return 0.5 * (net_before + c.net)
 
 
 @hot
 def _compute_field_rate(c):
     """Return the rate of the field, 1/256 full steps a clock."""
-    way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
+    direction = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
     if speed_thresholds.is_emergency_stop_active(c):
         return 0.0
-    return way * float(c.q) * (1 << state.get_step_shift(c)) / float(state.PHASE_PER_STEP)
+    return direction * float(c.q) * (1 << state.get_step_shift(c)) / float(state.PHASE_PER_STEP)
 
 
 @exported("f8", STATE, "i8", "f8")
-def read_pulse_rate(c, j, clock_hz):
+def read_pulse_rate(c, axis_index, clock_hz):
     """Return the rate of the field, 1/256 full steps a second."""
     return _compute_field_rate(c) * clock_hz
 
 
 @exported("i8", STATE, "i8")
-def read_counter(c, j):
+def read_counter(c, axis_index):
     """Return XACTUAL."""
     return c.x & M32
 
 
 @exported("i8", STATE, "i8")
-def read_inputs(c, j):
+def read_inputs(c, axis_index):
     """Return the levels of the input pins, as bits of INPUTS."""
     return c.inputs
 
 
 @exported(None, STATE, "i8", "i8")
-def set_input(c, j, word):
+def set_input(c, axis_index, word):
     """Set the levels of the input pins, except A and B of an encoder whose shaft is known.
 
     They act at the next clock; DRV_ENN acts at once.
@@ -305,19 +305,19 @@ def set_input(c, j, word):
 
 
 @exported("i8", STATE, "i8")
-def read_outputs(c, j):
+def read_outputs(c, axis_index):
     """Return the levels of the output pins, as bits of OUTPUTS."""
     return bus.compute_output_pins(c)
 
 
 @exported("i8", STATE, "i8")
-def read_status(c, j):
+def read_status(c, axis_index):
     """Return RAMP_STAT."""
     return bus.compute_ramp_stat(c)
 
 
 @exported("i8", STATE, "i8")
-def is_busy(c, j):
+def is_busy(c, axis_index):
     """Return whether a drive is in progress."""
     return bus.is_drive_in_progress(c)
 
@@ -376,11 +376,11 @@ def trace_pulses(c, until, out):
     while c.clock < until:
         before = c.net
         _run_to_next_event(c, until, STOP_AT_EACH_STEP)
-        way = 1 if c.net > before else -1
+        direction = 1 if c.net > before else -1
         for _ in range(abs(c.net - before)):
             if made < len(out):
                 e = out[made]
-                e.clock, e.axis, e.direction = c.clock, 0, way
+                e.clock, e.axis, e.direction = c.clock, 0, direction
             made += 1
     return made
 

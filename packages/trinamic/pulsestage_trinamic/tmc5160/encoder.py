@@ -122,9 +122,9 @@ def _pass_edges_up_to(c, edge):
         _set_pins_at_edge(c, near)
         _process_index(c)
     while c.edge != edge:
-        way = 1 if edge > c.edge else -1
-        _count_edges(c, way)
-        _set_pins_at_edge(c, c.edge + way)
+        direction = 1 if edge > c.edge else -1
+        _count_edges(c, direction)
+        _set_pins_at_edge(c, c.edge + direction)
         if c.edge != edge:
             _process_index(c)
 

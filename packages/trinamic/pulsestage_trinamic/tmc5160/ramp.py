@@ -75,42 +75,46 @@ def is_stopped_by_stall(c):
 
 
 @hot
-def _get_acceleration(c, q):
-    return c.reg[state.A1] if c.reg[state.V1] and q < _get_v1_speed(c) else c.reg[state.AMAX]
+def _get_acceleration(c, speed):
+    return c.reg[state.A1] if c.reg[state.V1] and speed < _get_v1_speed(c) else c.reg[state.AMAX]
 
 
 @hot
-def _get_deceleration_to_vmax(c, q):
+def _get_deceleration_to_vmax(c, speed):
     """Return the deceleration towards a lower VMAX."""
-    return c.reg[state.A1] if c.reg[state.V1] and q <= _get_v1_speed(c) else c.reg[state.AMAX]
+    return c.reg[state.A1] if c.reg[state.V1] and speed <= _get_v1_speed(c) else c.reg[state.AMAX]
 
 
 @hot
-def _get_braking_deceleration(c, q):
-    return greatest(c.reg[state.D1] if c.reg[state.V1] and q <= _get_v1_speed(c) else c.reg[state.DMAX], 1)
+def _get_braking_deceleration(c, speed):
+    return greatest(c.reg[state.D1] if c.reg[state.V1] and speed <= _get_v1_speed(c) else c.reg[state.DMAX], 1)
 
 
 @hot
-def _compute_next_speed_to_vmax(c, q):
+def _compute_next_speed_to_vmax(c, speed):
     g, corner = _get_vmax_speed(c), _get_v1_speed(c)
-    if q < g:
-        top = least(g, corner) if c.reg[state.V1] and q < corner else g
-        return least(q + _get_acceleration(c, q), top)
-    if q > g:
-        floor = greatest(g, corner) if c.reg[state.V1] and q > corner else g
-        return greatest(q - _get_deceleration_to_vmax(c, q), floor)
-    return q
+    if speed < g:
+        top = least(g, corner) if c.reg[state.V1] and speed < corner else g
+        return least(speed + _get_acceleration(c, speed), top)
+    if speed > g:
+        floor = greatest(g, corner) if c.reg[state.V1] and speed > corner else g
+        return greatest(speed - _get_deceleration_to_vmax(c, speed), floor)
+    return speed
 
 
 @hot
-def _get_braking_end_speed(c, q):
+def _get_braking_end_speed(c, speed):
     corner, z = _get_v1_speed(c), get_vstop_speed(c)
-    return greatest(z, corner) if c.reg[state.V1] and q > corner else z
+    return greatest(z, corner) if c.reg[state.V1] and speed > corner else z
 
 
 @hot
-def _compute_next_braking_speed(c, q):
-    return q if q <= get_vstop_speed(c) else greatest(q - _get_braking_deceleration(c, q), _get_braking_end_speed(c, q))
+def _compute_next_braking_speed(c, speed):
+    return (
+        speed
+        if speed <= get_vstop_speed(c)
+        else greatest(speed - _get_braking_deceleration(c, speed), _get_braking_end_speed(c, speed))
+    )
 
 
 @hot
@@ -119,28 +123,30 @@ def _divide_rounding_up(dividend, divisor):
 
 
 @hot
-def compute_braking_distance(c, q):
+def compute_braking_distance(c, speed):
     """Return the distance in which the axis brakes from speed q to VSTOP, in 1/256 steps, rounded up."""
     z = get_vstop_speed(c)
-    if q <= z:
+    if speed <= z:
         return 0
-    corner, w, least_w = _get_v1_speed(c), (q >> 9) + 1, z >> 9
+    corner, w, least_w = _get_v1_speed(c), (speed >> 9) + 1, z >> 9
     max_speed = 8 + 2 * (w >> 24)
     fast, slow = greatest(c.reg[state.DMAX], 1), greatest(c.reg[state.D1], 1)
-    if corner and q > corner and corner > z:
+    if corner and speed > corner and corner > z:
         w1 = corner >> 9
         return (
             max_speed
             + _divide_rounding_up(w * w - w1 * w1, fast << 16)
             + _divide_rounding_up(w1 * w1 - least_w * least_w, slow << 16)
         )
-    return max_speed + _divide_rounding_up(w * w - least_w * least_w, (slow if corner and q <= corner else fast) << 16)
+    return max_speed + _divide_rounding_up(
+        w * w - least_w * least_w, (slow if corner and speed <= corner else fast) << 16
+    )
 
 
 @hot
-def _is_too_short_to_brake(c, steps, q):
+def _is_too_short_to_brake(c, steps, speed):
     """Return whether this distance is too short to brake from speed q."""
-    return 256 * (steps - 1) < compute_braking_distance(c, q)
+    return 256 * (steps - 1) < compute_braking_distance(c, speed)
 
 
 @hot
@@ -272,33 +278,33 @@ def plan_even_stretch(c):
 
 
 @hot
-def _plan_braking(c, q):
+def _plan_braking(c, speed):
     """Plan the clocks in which the axis brakes, at the end of a positioning or at a switch."""
-    if q <= get_vstop_speed(c):
+    if speed <= get_vstop_speed(c):
         return UNINTERRUPTED, 0, state.NEVER
-    rate = _get_braking_deceleration(c, q)
-    return UNINTERRUPTED, -rate, (q - _get_braking_end_speed(c, q)) // rate
+    rate = _get_braking_deceleration(c, speed)
+    return UNINTERRUPTED, -rate, (speed - _get_braking_end_speed(c, speed)) // rate
 
 
 @hot
-def _plan_before_braking(c, q):
+def _plan_before_braking(c, speed):
     """Plan the clocks of a positioning before its braking begins."""
     g, corner = _get_vmax_speed(c), _get_v1_speed(c)
-    if q < g:
-        rate = _get_acceleration(c, q)
+    if speed < g:
+        rate = _get_acceleration(c, speed)
         if rate == 0 or _is_too_short_to_brake(
-            c, abs(compute_distance_to_target(c)), _compute_next_speed_to_vmax(c, q)
+            c, abs(compute_distance_to_target(c)), _compute_next_speed_to_vmax(c, speed)
         ):
             return BRAKES_AT_END, 0, state.NEVER
-        top = least(g, corner) if corner and q < corner else g
-        return BRAKES_AT_END, rate, (top - q) // rate
-    if q > g:
-        rate = _get_deceleration_to_vmax(c, q)
+        top = least(g, corner) if corner and speed < corner else g
+        return BRAKES_AT_END, rate, (top - speed) // rate
+    if speed > g:
+        rate = _get_deceleration_to_vmax(c, speed)
         if rate == 0:
             return BRAKES_AT_END, 0, state.NEVER
-        floor = greatest(g, corner) if corner and q > corner else g
-        clocks = (q - greatest(floor, 1)) // rate
-        return (UNINTERRUPTED if rate >= _get_braking_deceleration(c, q) else BRAKES_AT_ANY_STEP), -rate, clocks
+        floor = greatest(g, corner) if corner and speed > corner else g
+        clocks = (speed - greatest(floor, 1)) // rate
+        return (UNINTERRUPTED if rate >= _get_braking_deceleration(c, speed) else BRAKES_AT_ANY_STEP), -rate, clocks
     return BRAKES_AT_END, 0, state.NEVER
 
 

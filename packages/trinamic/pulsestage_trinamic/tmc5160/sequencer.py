@@ -49,7 +49,7 @@ def make_steps(c, steps, clock):
     c.net += now - c.mscnt
     c.mscnt = now & 1023
     c.toggle ^= steps & 1
-    c.way = c.dir
+    c.last_direction = c.dir
     c.last = clock
     common_power_stage.raise_current(c, c.reg[IHOLD_IRUN])
 

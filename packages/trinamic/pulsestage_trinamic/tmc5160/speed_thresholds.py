@@ -29,9 +29,9 @@ def is_stall_stop_possible(c):
 
 
 @hot
-def compute_tstep(c, q):
+def compute_tstep(c, speed):
     """Return TSTEP, clocks per 1/256 step, at speed q."""
-    v = q >> state.SPEED_SHIFT
+    v = speed >> state.SPEED_SHIFT
     if v == 0 or is_emergency_stop_active(c):
         return state.MAX_TSTEP
     return least(state.MAX_TSTEP, ((1 << 24) // v) >> state.get_step_shift(c))
@@ -45,12 +45,12 @@ def _get_bit_if_passed(c, bit, threshold, excludes_equal, tstep):
 
 
 @hot
-def find_passed_thresholds(c, q):
+def find_passed_thresholds(c, speed):
     """Return the thresholds that are passed when the speed becomes q, as bits SLOW, COOL and HIGH."""
     slow, cool, high = c.reg[state.TPWMTHRS], c.reg[state.TCOOLTHRS], c.reg[state.THIGH]
     if not (slow | cool | high):
         return 0
-    t = compute_tstep(c, q)
+    t = compute_tstep(c, speed)
     return (
         _get_bit_if_passed(c, state.SLOW, slow, True, t)
         | _get_bit_if_passed(c, state.COOL, cool, False, t)

@@ -49,7 +49,7 @@ STATE = record(
         ("mscnt", "i8"),
         ("net", "i8"),  # field, 1/256 full steps since power-up
         ("toggle", "i8"),  # DIAG0 in step mode
-        ("way", "i8"),  # the last direction
+        ("last_direction", "i8"),  # the last direction
         ("last", "i8"),  # clock of the last step
         ("current", "i8"),  # of common_power_stage: RUNS, FALLS, HOLDS
         ("falls", "i8"),  # clock at which the current falls by one

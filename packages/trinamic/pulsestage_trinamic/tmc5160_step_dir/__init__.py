@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
-from pulsestage_trinamic.step_dir_registers import StepDirRegisters
+from pulsestage_trinamic.motor_field import PLACES_PER_FULL_STEP
+from pulsestage_trinamic.step_dir_axis_with_registers import StepDirAxisWithRegisters
 from pulsestage_trinamic.tmc5160_step_dir import core, maps
 from pulsestage_trinamic.tmc5160_step_dir.cycle_descriptions import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc5160_step_dir.maps import MAP
@@ -27,7 +27,7 @@ STALL_MASKS = dict(zip(("diag0", "diag1"), MAP.masks("GCONF", "diag0_step", "dia
 """Bits of GCONF with which DIAG0 and DIAG1 show a stall while SD_MODE is high."""
 
 
-class StepDirTMC5160(StepDirRegisters):
+class StepDirTMC5160(StepDirAxisWithRegisters):
     """STEP/DIR axis with a TMC5160. After power-up the power stage is off (TOFF = 0) and a step is 1/256 full step.
 
     Positions count in the microsteps of the axis' Drive, whatever MRES is.

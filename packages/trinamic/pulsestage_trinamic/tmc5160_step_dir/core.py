@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from pulsestage_trinamic import field, load_measurement
+from pulsestage_trinamic import load_measurement, motor_field
 from pulsestage_trinamic.tmc5160 import bus, power_stage, stallguard
 from pulsestage_trinamic.tmc5160 import maps as chip_maps
 from pulsestage_trinamic.tmc5160 import state as chip
@@ -34,7 +34,7 @@ def _follow_lines(c, before):
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(c, axis_index, net_before, clocks):
     """Return the mean count of the last `clocks` clocks."""
-    return field.compute_mean_place(c, clocks) / c.unit
+    return motor_field.compute_mean_position(c, clocks) / c.unit
 
 
 @exported(None, STATE)
@@ -118,7 +118,7 @@ def read_inputs(c, axis_index):
 @exported("i8", STATE, "i8")
 def read_net_count(c, axis_index):
     """Return the place of the interpolated field since power-up, in microsteps of the axis' Drive."""
-    return field.compute_net_count(c)
+    return motor_field.compute_net_count(c)
 
 
 @exported("f8", STATE, "i8", "f8")
@@ -149,7 +149,7 @@ def set_load(c, axis_index, angle, emf):
     """
     d = c.driver[0]
     direction = -d.dir if d.reg[chip.GCONF] & chip.SHAFT else d.dir
-    lam = load_measurement.compute_load(field.correct_load_angle(c, angle), direction)
+    lam = load_measurement.compute_load(motor_field.correct_load_angle(c, angle), direction)
     return stallguard.add_load_sample(d, lam, int(1024.0 * least(emf, 1.0) + 0.5))
 
 
@@ -161,11 +161,11 @@ def set_fixed_load(c, lam, emf):
 
 @hot
 def _get_direction(c):
-    return c.driver[0].way
+    return c.driver[0].last_direction
 
 
 read_outputs, read_status, is_busy, read_counter, set_shaft = make_line_functions(sys.modules[__name__])
 run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_power_stage_functions(
     sys.modules[__name__], sequencer_connection.find_next_timer, sequencer_connection.process_timers, _follow_lines,
-    field.count_moves, _get_direction, state.ANSWERED,
+    motor_field.count_moves, _get_direction, state.ANSWERED,
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
+from pulsestage_trinamic.motor_field import PLACES_PER_FULL_STEP
 from pulsestage_trinamic.tmc5160.host_driver.driver import CHOPCONF, ROTOR_SETTLING_TIME_S, compute_current_registers
 from pulsestage_trinamic.tmc5160.power_stage import FULL_SCALE_V
 from stage.firmware.stepdir.driver import StepDirDriver

@@ -6,7 +6,7 @@ neither steps nor timers are due.
 
 from __future__ import annotations
 
-from pulsestage_trinamic import field
+from pulsestage_trinamic import motor_field
 from pulsestage_trinamic.tmc5160 import bus, power_stage, speed_thresholds, stallguard
 from pulsestage_trinamic.tmc5160 import state as chip
 from pulsestage_trinamic.tmc5160_step_dir import state
@@ -87,7 +87,7 @@ def _make_step(c, direction):
     before, since = d.net, c.moved_at[(c.moves - 1) % len(c.moved_at)] if c.moves else c.clock
     stallguard.make_measured_step(d)
     interpolates = d.reg[chip.CHOPCONF] & state.INTPOL and not was_at_rest
-    field.move(c, d.net - before, c.clock - since if interpolates else 0)
+    motor_field.move_field(c, d.net - before, c.clock - since if interpolates else 0)
 
 
 @hot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic import field
+from pulsestage_trinamic import motor_field
 from pulsestage_trinamic.tmc5160 import state as chip
 from stage.chips.stepdir import state as lines
 from stage.native import record
@@ -11,7 +11,7 @@ NEVER = lines.NEVER
 STATE = record(
     [
         *((name, lines.STATE[name]) for name in lines.STATE.names),
-        *field.FIELDS,
+        *motor_field.FIELDS,
         ("followed", "i8"),  # `net` up to which the field has followed the steps
         ("driver", chip.STATE, (1,)),  # the chip, in its own clock; its ramp generator is off
     ]

@@ -20,10 +20,10 @@ class McpClientPlayer:
     def __call__(self, session: GameSession) -> None:
         from stage.agents.server.stdio import serve
 
-        serve(cast(Any, _Game(session)))
+        serve(cast(Any, _GameToolboxFactory(session)))
 
 
-class _Game:
+class _GameToolboxFactory:
     """Stand-in for the MCP server's factory of stages. The only session that it makes is the game."""
 
     def __init__(self, session: GameSession):

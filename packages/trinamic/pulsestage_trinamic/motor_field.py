@@ -26,7 +26,7 @@ PLACE_ANGLE = math.pi / 2 / PLACES_PER_FULL_STEP
 
 
 @hot
-def move(c, places, clocks):
+def move_field(c, places, clocks):
     """Move the field by `places`, 1/256 full steps each, evenly over the next `clocks` clocks, or at once if `clocks` is 0."""
     k = c.moves % HISTORY
     c.moved_at[k], c.moved_by[k], c.moved_in[k] = c.clock, places, clocks
@@ -55,7 +55,7 @@ def compute_lag(c, at):
 
 
 @hot
-def compute_mean_place(c, clocks):
+def compute_mean_position(c, clocks):
     """Return the mean place of the interpolated field over the last `clocks` clocks.
 
     A step moves the field evenly in the time between the step before and itself, or at once. The function integrates what each
@@ -68,12 +68,14 @@ def compute_mean_place(c, clocks):
         since, lasts = float(c.moved_at[k]) - begin, float(c.moved_in[k])
         if since + lasts <= 0.0:
             break
-        missing += c.moved_by[k] * (_integrate_rest(since, lasts, 0.0) - _integrate_rest(since, lasts, clocks))
+        missing += c.moved_by[k] * (
+            _integrate_remaining_motion(since, lasts, 0.0) - _integrate_remaining_motion(since, lasts, clocks)
+        )
     return c.field - missing / clocks
 
 
 @hot
-def _integrate_rest(since, lasts, x):
+def _integrate_remaining_motion(since, lasts, x):
     """Integrate, from clock `x` on, the share of a step that is left: 1 until clock `since`, then falling to 0 within `lasts`."""
     if x <= since:
         return since - x + 0.5 * lasts

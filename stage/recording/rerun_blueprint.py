@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage.recording import geom_archetypes
+from stage.recording import rerun_geoms
 from stage.recording.axis_series import assign_colors, list_axes_with_series, make_plot_title
 from stage.recording.lazy_rerun import rr, rrb
 from stage.recording.rerun_scene import make_axis_entity_path
@@ -113,7 +113,7 @@ def find_eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _build_grid(model: mujoco.MjModel) -> Any:
     """Return the lines of a grid on the floor; their spacing is a power of ten of meters that suits the size of the model."""
-    floor = geom_archetypes.find_floor(model)
+    floor = rerun_geoms.find_floor(model)
     if floor is None:
         return rrb.LineGrid3D(visible=False)
     plane = rr.components.Plane3D((0, 0, 1), float(model.geom_pos[floor][2]))

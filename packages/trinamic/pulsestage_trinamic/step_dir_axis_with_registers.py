@@ -1,16 +1,16 @@
-"""`StepDirRegisters`: STEP/DIR axes whose power stage has registers of 32 bits beside the step timer."""
+"""`StepDirAxisWithRegisters`: STEP/DIR axes whose power stage has registers of 32 bits beside the step timer."""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
+from pulsestage_trinamic.motor_field import PLACES_PER_FULL_STEP
 from stage.chips.stepdir import STEPDIR
 
 MAX_REGISTER_VALUE = 0xFFFF_FFFF
 
 
-class StepDirRegisters(STEPDIR):
+class StepDirAxisWithRegisters(STEPDIR):
     """Base class of a STEP/DIR axis whose power stage has registers, read and written by name."""
 
     CORE: ClassVar[Any]

@@ -106,7 +106,9 @@ def make_default_layout(chip: Chip) -> Layout:
     if chip.LAYOUT:
         layout = contract_check.load_attribute(type(chip), "LAYOUT", "its layout")
         if not isinstance(layout, Layout):
-            raise ArgumentError(f"{type(chip).__name__}: LAYOUT = {chip.LAYOUT!r} is no stage.board.layouts.Layout.")
+            raise ArgumentError(
+                f"{type(chip).__name__}: LAYOUT = {chip.LAYOUT!r} is no stage.board.bus_layouts.Layout."
+            )
         return layout
     ports = [(BYTE, a) for a in range(chip.ADDRESSES)]
     if chip.DATA_MASK > 0xFF:
