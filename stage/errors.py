@@ -36,7 +36,7 @@ class ExceededLimit(NamedTuple):
 
 
 class ArgumentError(StageError, ValueError):
-    """An argument is out of range or not known.
+    """Error of an argument that is out of range or not known.
 
     Attributes:
         exceeded_limit: Limit of the chip that a value has exceeded, for callers that show it in other units; None otherwise.
@@ -51,14 +51,14 @@ class ArgumentError(StageError, ValueError):
 
 
 class UnknownKey(ArgumentError, KeyError):
-    """A mapping has no such key. This error is a KeyError as well, but its text is printed without quotes."""
+    """Error of a key that a mapping does not have. It is a KeyError as well, but its text is printed without quotes."""
 
     def __str__(self) -> str:
         return escape(str(self.args[0]))
 
 
 class ModelError(StageError, ValueError):
-    """An MJCF model does not keep the naming contract.
+    """Error of an MJCF model that does not keep the naming contract.
 
     Attributes:
         missing: MJCF lines that would repair the model if they were added; it may be empty.
@@ -70,7 +70,7 @@ class ModelError(StageError, ValueError):
 
 
 class SimulationError(StageError, RuntimeError):
-    """The simulation diverged. The stage is back in the state before the physics step that diverged.
+    """Error of a simulation that diverged. The stage is back in the state before the physics step that diverged.
 
     Attributes:
         time: Simulated time of that state, s.
@@ -87,19 +87,19 @@ class SimulationError(StageError, RuntimeError):
 
 
 class RunTimeout(StageError, TimeoutError):
-    """A condition did not become true within its timeout of simulated time."""
+    """Error of a condition that did not become true within its timeout of simulated time."""
 
 
 class LoadError(StageError, ImportError):
-    """A part of the package cannot be loaded because a library that it needs cannot be loaded."""
+    """Error of a part of the package that cannot be loaded because a library that it needs cannot be loaded."""
 
 
 class GpuMissing(LoadError):
-    """A GPU was requested, but none can be used on this machine."""
+    """Error of a request for a GPU on a machine on which none can be used."""
 
 
 class NativeError(LoadError):
-    """The native library is missing or does not match the sources or the machine, and could not be built."""
+    """Error of a native library that is missing or does not match the sources or the machine, and could not be built."""
 
 
 def find_similar_names(name: object, names: Iterable[str], cutoff: float = 0.5) -> list[str]:

@@ -85,7 +85,7 @@ SLICE_END = record([("clocks", "i8"), ("rest", "i8")])
 SLICE_REST_UNIT = 1_000_000_000
 CLOCK = record([("clock", "i8")])
 WIRE_BIT = 16
-"""A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
+"""Lowest bit, in a word of inputs, of the value that another chip's output drives, plus 1; these bits are 0 if no chip drives."""
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
 SCAN_ROOM = 8
 """Number of EDGE records that are still free when a scan stops early."""

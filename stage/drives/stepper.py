@@ -28,7 +28,7 @@ CHOPPER, SINE, SERVO = range(3)  # modes
 A, B = 1, 2  # phases
 SLICES = 8  # that the engine cuts a physics step into; mean_torque counts on 8
 ENDS = np.array([-3.0, -2.0, -1.0, -1.0, 1.0, 2.0, 3.0, 4.0])
-"""Of each slice its end, in slices from the middle of the window; of the one that ends there -1, see `_place_targets`."""
+"""End of each slice, in slices from the middle of the window; -1 for the slice that ends in the middle, see `_place_targets`."""
 MIDDLE_SLICE = SLICES // 2 - 1  # the slice that ends in the middle of a window
 
 DRIVE = record(

@@ -68,7 +68,7 @@ class OperationPattern:
         return {}
 
     def make_annotations(self, times: np.ndarray) -> list[PatternAnnotation]:
-        """Return the notes of the host's commands and of the chip's events.
+        """Return annotations for the commands of the host and the events of the chip.
 
         Args:
             times: Times of the edges of the report's waveform, s from the first start.
@@ -82,11 +82,11 @@ class OperationPattern:
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
     def needs_annotation(self, meaning: str) -> bool:
-        """Return whether a command with this meaning gets a note."""
+        """Return whether a command with this meaning gets an annotation in the plot."""
         return True
 
     def describe_end(self) -> list[PatternAnnotation]:
-        """Return notes that say why the axis stopped."""
+        """Return annotations that explain why the axis stopped."""
         report = self.report
         if not report.duration or report.stopped_by == "reset command":  # a note of its own
             return []

@@ -3,6 +3,6 @@
 import os
 
 EMITTING = os.environ.get("PULSESTAGE_EMIT") == "1"
-"""This process compiles them, see object_emitter.py: the builder sets it for its helpers, nobody else."""
+"""Whether this process compiles hot functions, see object_emitter.py. Only the builder sets it, for its worker processes."""
 COMPILED = EMITTING or os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
-"""They come from the native library; otherwise they run as plain Python. (numba's own switch, so that one is enough.)"""
+"""Whether hot functions come from the native library; otherwise they run as plain Python. The switch is that of numba."""

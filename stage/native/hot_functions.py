@@ -72,7 +72,7 @@ class Exported:
 
     every: ClassVar[list[Exported]] = []
     numbered: ClassVar[dict[int, Exported]] = {}
-    """By what stands for an address where nothing is compiled."""
+    """Functions by the numbers that stand for their addresses while nothing is compiled."""
 
     def __init__(self, function: Callable, result: str | None, arguments: tuple):
         self.function, self.result, self.arguments = function, result, arguments

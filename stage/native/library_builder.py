@@ -36,7 +36,7 @@ NUMBA = "0.68.1"
 
 
 DEPTH = 3
-"""Names in that of a part: `stage.chips.nova` is one, whatever folders it has. What is compiled in two parts is compiled twice."""
+"""Number of names in the name of a part, for example `stage.chips.nova`, whose subfolders belong to the same part."""
 
 COMPILERS = tuple(filter(None, (os.environ.get("CC"), "cc", "clang", "gcc")))
 

@@ -44,7 +44,7 @@ WIDGET_SIZE = 960, 620  # pixels
 
 
 class ViewerError(StageError):
-    """Error: rerun's viewer is missing or has failed."""
+    """Error of rerun's viewer, which is missing or has failed."""
 
 
 def find_rerun_executable() -> str:

@@ -31,7 +31,7 @@ SKIPPED = "/stage"  # the scene: pictures, no columns
 
 
 class DamagedFile(Exception):
-    """Error: rerun's reader cannot read a file. The message says why."""
+    """Error of a file that rerun's reader cannot read. The message says why."""
 
 
 def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:

@@ -36,7 +36,7 @@ TIMESCALE = re.compile(rb"(1|10|100)\s*(s|ms|us|ns|ps|fs)")
 
 
 class CaptureError(FileError):
-    """Error: a file is no capture, or does not have the requested signals."""
+    """Error of a file that is no capture, or does not have the requested signals."""
 
 
 class Signal(NamedTuple):

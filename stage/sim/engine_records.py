@@ -24,8 +24,8 @@ SLICES = stepper.SLICES
 
 # --- state, in userdata ---
 WORLD = record([(name, "i8") for name in "now start slice steps to_sample powered".split()])
-"""`now`, `start` of the window (ns); slices and steps done; steps until the next sample; 1 under power: where it is 0, somebody has
-cleared userdata (mj_resetData does), and nothing in it means anything."""
+"""Time of a stage: `now` and `start` of the window (ns); slices and physics steps completed; physics steps until the next sample;
+`powered`: 1, or 0 after userdata was cleared, for example by mj_resetData, so that no state in it is valid."""
 AXIS = record(
     [("counts", "f8", (SLICES,)), ("speed", "f8")]
     + [(name, "i8") for name in "count next_edge awake index_on index_edge index_end".split()]
@@ -34,9 +34,9 @@ AXIS = record(
 slice's end, time of the next input edge (ns); whether a switch of it is on, sees its vane or bounces; the encoder's index pulse:
 asserted, its next edge in this window, and the one after (ns)."""
 SWITCH = record([("shift", "f8")] + [(name, "i8") for name in "sensed on edge next_edge toggles until".split()])
-"""How far the flag stands from where the plant has measured it, in joint units; whether the contact sensor sees the vane; asserted;
-times of the next edge in this window and of the one after it (ns); of a contact that bounces, how often it will still toggle and
-when it will have come to rest (ns)."""
+"""State of a switch: shift of the flag from its measured position, joint units; whether the contact sensor detects the vane;
+whether the switch is asserted; times of the next edge in this window and of the one after it (ns); for a contact that bounces, the
+number of toggles to come and the time at which it rests (ns)."""
 
 # --- constants ---
 CALLBACKS = 8  # that MuJoCo has
@@ -83,16 +83,16 @@ SAMPLE = record(
 )
 """One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
 EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b")] + [("count", "f8"), ("rate", "f8")])
-"""What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SHAFT the chip's
-axis, count and rate in their place, of a LOAD the axis, angle and share of the supply."""
+"""Input that the chip of an axis has received: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b. A SHAFT has
+the chip's axis, count and rate instead; a LOAD the axis, the angle and the share of the supply."""
 
 MAX_TOGGLES = 8
 EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1 + 1 + 1
-"""Of an axis at most, without what comes over wires between chips: each switch an edge and its toggles; the index pulse begins and
-ends; the shaft; what another chip drives; the load."""
+"""Largest number of EDGE records that an axis adds in a window, without those of wires between chips: for each switch an edge and
+its toggles; begin and end of the index pulse; the shaft; the output of another chip; the load."""
 REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED, FAILED, UNGUARDED, IN_USE, WIPED = range(8)
-"""Why it returned: time is up; no room to log in; the physics diverged; a callback failed. And why it did nothing: there are
-callbacks, and nobody guards them; another runs the stage; it is not under power."""
+"""Reasons why the engine returned: the time is reached; the buffer of samples or of edges is full; the physics diverged; a callback
+failed. Reasons why it did nothing: callbacks are not guarded; another thread runs the stage; the stage is not powered."""
 MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation has diverged
 
 

@@ -402,7 +402,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
 
 @explain_arguments
 def start_skew(axis: Axis, seconds: float) -> Fault:
-    """Delay the next bus write that makes this axis drive, a start command, as if the CPU were called away.
+    """Delay the next start command of this axis, as if an interrupt had kept the host's CPU from the bus write.
 
     A command that starts several axes of a chip is late for all of them. A servo that follows command positions has no start
     command to delay.

@@ -47,17 +47,17 @@ class State:
     """
 
     model: mujoco.MjModel
-    """What is simulated. MuJoCo does not reset it by itself any more: the chips would forget all."""
+    """Model that is simulated. MuJoCo's automatic reset is off, because it would clear the state of the chips."""
     data: mujoco.MjData
     """MuJoCo's state."""
     offset: int
-    """Where in `data.userdata` the stage's state begins."""
+    """Index in `data.userdata` at which the stage's state begins."""
     userdata: np.ndarray
     """The stage's part of `data.userdata`, float64."""
     world: np.ndarray
-    """WORLD, one record: the time."""
+    """WORLD record with the time of the stage, in an array of length one."""
     words: np.ndarray
-    """`world` as int64, in the order of its fields: what Python reads quickly."""
+    """Fields of `world` as int64 in their order, for fast access from Python."""
     axes: np.ndarray
     """AXIS of each axis: counts of its pulses, edges to come."""
     chips: list[np.ndarray]
@@ -73,7 +73,7 @@ class State:
     switch_table: np.ndarray
     """SWITCH_TABLE: pin bit, sensor, geometry; and what faults do to a switch."""
     flag_edges: np.ndarray
-    """FLAG_EDGE: where the vanes enter and leave their switches, switch after switch."""
+    """FLAG_EDGE records: the joint positions at which vanes enter and leave their switches, switch after switch."""
     chip_table: np.ndarray
     """CHIP_TABLE: which core runs each chip, and where its state lies."""
     slice_ends: dict[int, np.ndarray]
@@ -83,17 +83,17 @@ class State:
     clockwork: np.ndarray
     """CLOCKWORK, one record: time step, functions of MuJoCo, who runs the stage now."""
     handle: Any
-    """HANDLE: where all these lie, for compiled code; what the engine has logged."""
+    """HANDLE record with the addresses of all these arrays, for compiled code, and with the state of the engine's logs."""
     pointer: int
-    """The address of `handle`."""
+    """Address of `handle`."""
     dt: int
-    """ns, a physics step."""
+    """Duration of a physics step, ns."""
     bus: int
-    """ns, a bus cycle."""
+    """Duration of a bus cycle, ns."""
     saved: np.ndarray
-    """float64: MuJoCo's state as it was before the last run of the engine moved it, to go back to."""
+    """MuJoCo's state before the last run of the engine, float64, to which a failed run returns."""
     edges: np.ndarray
-    """EDGE: what reached the chips, where the engine notes it; see `set_edge_buffer`."""
+    """EDGE records in which the engine logs the inputs of the chips, see `set_edge_buffer`."""
 
     def __init__(
         self,

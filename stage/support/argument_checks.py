@@ -24,7 +24,7 @@ PYTHON_ERRORS = (TypeError, ValueError, AttributeError, KeyError, IndexError, Ar
 
 
 class WrongType(ArgumentError, TypeError):
-    """Error: an argument has a wrong type, or no parameter has its name. It is a TypeError as well."""
+    """Error of an argument whose type is wrong, or whose name no parameter has. It is a TypeError as well."""
 
 
 def explain_arguments(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:

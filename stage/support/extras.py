@@ -54,7 +54,7 @@ LIBRARIES = {
 
 
 class ExtraMissing(LoadError):
-    """Error: an optional library is needed and not installed.
+    """Error of an optional library that is needed and not installed.
 
     Attributes:
         extra: Extra that installs the library, see `format_install_command`.

@@ -29,7 +29,7 @@ TRANSCRIPT, ENTRY = ((".jsonl",), "a transcript"), ((".bench",), "an entry")
 
 
 class FileError(StageError):
-    """Error: a file cannot be written, or an existing file would be lost."""
+    """Error of a file that cannot be written, or whose former content would be lost."""
 
 
 def to_path(path: Any, error: type[StageError] = FileError) -> Path:

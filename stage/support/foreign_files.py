@@ -30,7 +30,7 @@ MAX_DOCUMENT_BYTES = 1 << 20
 
 
 class DocumentError(ArgumentError):
-    """Error: a text is not JSON or TOML, is nested too deeply, or has a number that is too long."""
+    """Error of a text that is not JSON or TOML, is nested too deeply, or has a number that is too long."""
 
 
 def open_regular(

@@ -37,7 +37,7 @@ MAX_FILE_BYTES = 1 << 26
 
 
 class SnapshotError(ArgumentError):
-    """Error: a file is not a snapshot, is damaged, or is a snapshot of another kind."""
+    """Error of a file that is not a snapshot, is damaged, or is a snapshot of another kind."""
 
 
 class SavableSnapshot(Snapshot):

@@ -30,7 +30,7 @@ SHORT_TIME_LIMIT_S = 15.0
 
 
 class NotConforming(StageError, AssertionError):
-    """Error: a chip breaks promises.
+    """Error of a chip that breaks promises.
 
     Attributes:
         broken: What the chip does instead, by the name of each broken promise.

@@ -23,7 +23,7 @@ from stage.testing.chip_actions import (
 
 
 class BrokenPromise(Exception):
-    """Error: a chip breaks a promise. The message says what the chip does."""
+    """Error of a chip that breaks a promise. The message says what the chip does instead."""
 
 
 @dataclass(frozen=True)

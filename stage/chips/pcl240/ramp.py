@@ -158,7 +158,7 @@ def read_linear_rate(chip, direction):
 
 @hot
 def schedule_next_step(chip):
-    """Schedule the next step of an S-curve: upward step k at t(k), downward one clock after t(k - 1)."""
+    """Schedule the next speed step of an S-curve: step k at t(k) of a ramp up, and one clock after t(k - 1) of a ramp down."""
     chip.next_step_time = NEVER if chip.ramp_rate < 2 else _compute_step_time(chip, chip.ramp_step + 1)
 
 

@@ -59,7 +59,7 @@ WORK_DTYPE = record(
 
 @hot
 def _widen_error_range(demanded, row, motion, clock_hz, lead, end, low_error, high_error):
-    """Widen the range of E by its values at the demanded points up to the time `end`, s.
+    """Widen the range of the line error E, pulses, by its values at the demanded points up to the time `end`, s.
 
     Before the follower's first pulse only a positive E counts.
     """
@@ -149,7 +149,10 @@ def _fill_demanded_ramp_down(leader, leader_motion, leader_clock_hz, rate_share,
 def _find_error_range_before_ramp_down(
     leader, leader_motion, leader_clock_hz, demanded, row, motion, clock_hz, lead, rate_share
 ):
-    """Return the smallest and the largest E from the start to the leader's ramp-down. `demanded` has the points of the ramp-up."""
+    """Return the smallest and the largest line error E, pulses, from the start to the leader's ramp-down.
+
+    `demanded` has the points of the ramp-up.
+    """
     motion[0] = NEVER_TICKS  # its own ramp-down is not chosen yet
     end = min(leader_motion[0], leader_motion[3]) / leader_clock_hz
     k = RAMP_POINTS + 1
@@ -169,7 +172,7 @@ def _find_error_range_before_ramp_down(
 def _widen_error_range_after_ramp_down(
     leader, leader_motion, leader_clock_hz, demanded, row, motion, clock_hz, lead, rate_share, low_error, high_error
 ):
-    """Widen the range of E by its values from the first ramp-down to the first last pulse.
+    """Widen the range of the line error E by its values from the first ramp-down to the first end of an axis.
 
     `demanded` has the points of the ramp-down.
     """

@@ -57,7 +57,7 @@ class Pcl240Pattern(move_plot_signals.OperationPattern):
         return {n: next(iter(v)) * step for n, v in once.items()}
 
     def make_annotations(self, times: np.ndarray) -> list[PatternAnnotation]:
-        """Return notes of the commands that start, change or stop a run, of each ramp-down point, and of the end.
+        """Return annotations for the commands that start, change or stop a run, for each ramp-down point, and for the end.
 
         The note of a command also has the bytes that prepare it (reset command, control mode, a register).
 

@@ -20,10 +20,10 @@ TICK_TOLERANCE = 1e-2
 
 @hot
 def _count_speed_steps(target, unit, first, sign, max_steps):
-    """Return the number of speed steps completed before a ramp has gained `target` phase.
+    """Return the number of speed steps that a ramp completes before its phase, the sum of its speeds, has grown by `target`.
 
     Args:
-        target: Phase.
+        target: Growth of the phase, speed steps times ticks.
         unit: Ticks per speed step.
         first: Speed at the begin of the ramp, speed steps.
         sign: 1 for a ramp up, -1 for a ramp down.
@@ -41,7 +41,7 @@ def _count_speed_steps(target, unit, first, sign, max_steps):
 
 @hot
 def _find_ticks_to_phase(target, unit, first, sign, max_steps):
-    """Return the ticks after which a ramp has gained `target` phase; after its last step the ramp continues at constant speed.
+    """Return the ticks after which the phase of a ramp has grown by `target`, at constant speed after the last step of the ramp.
 
     The arguments are those of `_count_speed_steps`.
     """
@@ -175,7 +175,7 @@ def _compute_s_curve_state(fl, fh, r14, up, down, ramp_down_tick, ramp_down_spee
 
 @hot
 def _find_tick_at_phase(row, motion, target, tick):
-    """Return the tick at which a move with S-curve ramps has gained `target` phase.
+    """Return the tick at which the phase of a move with S-curve ramps has grown by `target`.
 
     Newton's method starts at `tick`, which must be on the steep side of the result.
     """
