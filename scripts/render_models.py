@@ -1,10 +1,13 @@
-"""Draw docs/pictures/model_NAME.png of every model that ships, or of one camera: render_models.py [--camera switches]."""
+"""Draw docs/pictures/model_NAME.png of every model that ships, and new_model.png: render_models.py [--camera switches]."""
 
 import argparse
 from pathlib import Path
 
+import mujoco
+
 from stage.cli.view import draw_model
 from stage.sim import plant
+from stage.sim.plant.new_model import NewAxis, new_model
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--camera", default="overview", help="overview, front, top or switches")
@@ -15,4 +18,10 @@ args = parser.parse_args()
 for name in plant.list_model_names():
     path = args.out / f"model_{name}{'' if args.camera == 'overview' else '_' + args.camera}.png"
     draw_model(plant.open_spec(name).compile(), str(path), args.camera, True, args.key)
+    print(path)
+
+if args.camera == "overview":
+    axes = [NewAxis.parse("x:slide:200mm"), NewAxis.parse("a:hinge:360deg")]  # of docs/tutorials/first_stage.md
+    path = args.out / "new_model.png"
+    draw_model(mujoco.MjModel.from_xml_string(new_model(axes)), str(path), None, True)
     print(path)

@@ -155,7 +155,7 @@ def test_the_example_program_runs():
     spec = importlib.util.spec_from_file_location("own_stage", ROOT / "scripts" / "own_stage.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert module.stage.axes["x"].chip.pins.org
+    assert module.machine.axes["x"].chip.pins.org
 
 
 # --- the complete model of docs/models.md, and everything that can be wrong with it ---
