@@ -85,7 +85,7 @@ class BusTools:
         }
 
     def _describe_axis(self, name: str) -> dict[str, Any]:
-        axis = self._context.axis(name)
+        axis = self._context.get_axis(name)
         map_ = axis.chip.MAP
         return {
             "chip": map_.chip,
@@ -95,26 +95,26 @@ class BusTools:
             "unit": axis.unit,
             "per_pulse": axis.meters_per_pulse,
             "travel": [round(float(end), 9) for end in axis.travel],
-            "homes_by": list(self._context.driver(name).list_homing_methods()),
+            "homes_by": list(self._context.get_driver(name).list_homing_methods()),
             "registers": [r.name for r in map_.registers],
             "same_chip_as": [a.name for a in self._context.stage.axes.values() if a.chip is axis.chip and a.name != name],
         }  # fmt: skip
 
     def registers(self, axis: str, name: str | None = None) -> str:
         """Show the register map of an axis' chip; with a name, all bits of that register, word or command."""
-        map_ = self._context.axis(axis).chip.MAP
+        map_ = self._context.get_axis(axis).chip.MAP
         return describe_map(map_) if name is None else describe_entry(map_, name)
 
     def read_register(self, axis: str, name: str) -> dict[str, Any]:
         """Read a register over the bus. Some registers can only be written."""
         r = self._find_register(axis, name)
-        value = self._context.driver(axis).read_register(r.name)
+        value = self._context.get_driver(axis).read_register(r.name)
         answer = {"axis": axis, "register": r.name, "value": value, "hex": f"{value & r.mask:X}h", "title": r.title}
         return answer | ({"says": FieldDescriber(r).describe(r.name, value & r.mask)} if r.fields else {})
 
     def write_register(self, axis: str, name: str, value: int) -> dict[str, Any]:
         """Write a whole register by bus cycles. A value that the data sheet does not allow is refused."""
-        a, r = self._context.axis(axis), self._find_register(axis, name)
+        a, r = self._context.get_axis(axis), self._find_register(axis, name)
         map_ = a.chip.MAP
         if "W" not in r.access:
             raise ArgumentError(f"{map_.chip} {r.name} ({r.title}) can only be read.")
@@ -125,12 +125,12 @@ class BusTools:
 
     def _find_register(self, axis: str, name: str) -> Register:
         """Return the register of an axis' chip with this name. Raises ArgumentError for an unknown name."""
-        map_ = self._context.axis(axis).chip.MAP
+        map_ = self._context.get_axis(axis).chip.MAP
         return map_.register(choose(f"register of axis {axis}", name, tuple(r.name for r in map_.registers)))
 
     def command(self, axis: str, name: str, data: int | None = None) -> dict[str, Any]:
         """Send a command, or a word that a host writes, with its data."""
-        a = self._context.axis(axis)
+        a = self._context.get_axis(axis)
         symbol = choose(f"command of axis {axis}", name, tuple(list_commands(type(a.chip))))
         try:
             cycles = a.chip.command_cycles(symbol, a.chip_axis, data)
@@ -140,7 +140,7 @@ class BusTools:
 
     def write_bytes(self, axis: str, address: int, values: list[int]) -> dict[str, Any]:
         """Make bus write cycles at an address of the axis' chip, one for each value, without a check."""
-        chip = self._context.axis(axis).chip
+        chip = self._context.get_axis(axis).chip
         _check_addresses(chip, [address])
         if any(v > chip.DATA_MASK for v in values):
             raise ArgumentError(f"values={values!r}: the bus of {chip.MAP.chip} has data of 0 to {chip.DATA_MASK:X}h.")
@@ -148,7 +148,7 @@ class BusTools:
 
     def _make_write_cycles(self, axis: str, cycles: list[tuple[int, int]]) -> dict[str, Any]:
         """Write values to addresses of an axis' chip, given as (address, value), and return the result of the tool."""
-        chip, written = self._context.axis(axis).chip, []
+        chip, written = self._context.get_axis(axis).chip, []
         listener = chip.make_describer()
         for address, value in cycles:
             self._motion.watch_write(chip, address, value)
@@ -158,7 +158,7 @@ class BusTools:
 
     def read_bytes(self, axis: str, addresses: list[int]) -> dict[str, Any]:
         """Make bus read cycles, one for each address."""
-        chip, trace = self._context.axis(axis).chip, self._context.trace_of(axis)
+        chip, trace = self._context.get_axis(axis).chip, self._context.get_trace(axis)
         _check_addresses(chip, addresses)
         listener = chip.make_describer()
         values = []
@@ -169,8 +169,8 @@ class BusTools:
 
     def status(self, axis: str) -> dict[str, Any]:
         """Read the status of an axis, bit by bit, with the evidence for each meaning."""
-        places = {p.name: p for p in self._context.axis(axis).chip.MAP.places}
-        values = self._context.driver(axis).read_status_words()
+        places = {p.name: p for p in self._context.get_axis(axis).chip.MAP.places}
+        values = self._context.get_driver(axis).read_status_words()
         words = {name: _describe_word(places[name], value) for name, value in values.items()}
         tags = {bit["evidence"] for word in words.values() for bit in word["bits"]}
         return {
@@ -180,7 +180,7 @@ class BusTools:
 
     def trace(self, axis: str, lines: int) -> str:
         """Show the last bus cycles of an axis' chip in words."""
-        trace = self._context.trace_of(axis)
+        trace = self._context.get_trace(axis)
         trace.add_new_entries()
         cycles = [line for line in trace.lines if line.kind != "!"][-lines:]
         return "\n".join(line.format(trace.digits) for line in cycles) or "No bus cycle has been made yet."

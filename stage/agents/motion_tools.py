@@ -64,7 +64,9 @@ class MotionTools:
         timeout = {
             "timeout": argument(number(gt=0, le=CALL_LIMIT_S), "Simulated seconds after which to give up.", None)
         }
-        homings = tuple(dict.fromkeys(h for name in context.axes for h in context.driver(name).list_homing_methods()))
+        homings = tuple(
+            dict.fromkeys(h for name in context.axes for h in context.get_driver(name).list_homing_methods())
+        )
         direction = argument(choice(tuple(DIRECTIONS)), "Direction in which ORG lies.", "minus")
         by = argument(choice(homings), "What ends the return; default: the chip's usual.", None)
         timeout_s = argument(number(gt=0, le=CALL_LIMIT_S), "Simulated seconds after which to give up.", 30.0)
@@ -93,22 +95,22 @@ class MotionTools:
         """Move an axis by a distance and wait for the end. Returns the report."""
         pulses, speeds = self._parse_move(axis, values)
         self._require_rest([axis])
-        return self._store_report(self._context.driver(axis).move(pulses, speeds, values.get("timeout")))
+        return self._store_report(self._context.get_driver(axis).move(pulses, speeds, values.get("timeout")))
 
     def home(self, axis: str, direction: str, by: str | None = None, **values: Any) -> dict[str, Any]:
         """Return to the mechanical origin ORG from any place. Returns the report."""
         speeds, timeout = self._parse_speeds(axis, values), values.get("timeout", HOME_TIMEOUT_S)
-        if tandem := self._context.axis(axis).tandem:
+        if tandem := self._context.get_axis(axis).tandem:
             if by is not None:
                 raise ArgumentError(f"by={by!r}: axis {axis} drives one load with {', '.join(tandem)}; leave it out.")
             self._require_rest([axis, *tandem])
-            axes = [self._context.axis(name) for name in (axis, *tandem)]
+            axes = [self._context.get_axis(name) for name in (axis, *tandem)]
             reports = square_gantry_at_speeds(axes, DIRECTIONS[direction], speeds, timeout)
             return {
                 "procedure": "home of axes that drive one load",
                 "axes": {r.axis: self._store_report(r) for r in reports},
             }
-        driver = self._context.driver(axis)
+        driver = self._context.get_driver(axis)
         self._require_rest([axis])
         by = by or driver.list_homing_methods()[0]
         driver.check_homing(by)
@@ -122,7 +124,7 @@ class MotionTools:
     def start(self, axis: str, **values: Any) -> dict[str, Any]:
         """Start a move and return at once: wait or wait_until_stopped let time pass."""
         pulses, speeds = self._parse_move(axis, values)
-        driver = self._context.driver(axis)
+        driver = self._context.get_driver(axis)
         self._require_rest([axis])
         self._begin_watching(axis, "move", pulses)
         try:
@@ -134,7 +136,7 @@ class MotionTools:
 
     def stop(self, axis: str, at_once: bool = False) -> dict[str, Any]:
         """Stop an axis, with a ramp or at once, and wait until it rests."""
-        self._context.driver(axis).halt(at_once)
+        self._context.get_driver(axis).halt(at_once)
         return self._report_watched_move(axis, "stopped by the host")
 
     def wait(self, seconds: float) -> dict[str, Any]:
@@ -144,7 +146,7 @@ class MotionTools:
 
     def wait_until_stopped(self, axis: str, timeout: float) -> dict[str, Any]:
         """Poll the status of an axis until it has stopped. Returns the report of its move."""
-        a, driver = self._context.axis(axis), self._context.driver(axis)
+        a, driver = self._context.get_axis(axis), self._context.get_driver(axis)
         if axis in self._watched and self._watched[axis][0].name != STARTED_BY_BUS:
             reason = driver.wait(timeout)
         else:
@@ -175,7 +177,7 @@ class MotionTools:
             if a.chip is not chip:
                 continue
             if a.name in self._watched and chip.busy(a.chip_axis):
-                if self._context.driver(a.name).is_stop_command(address, value):
+                if self._context.get_driver(a.name).is_stop_command(address, value):
                     self._stop_commands[a.name] = f"stopped by the host: {value:0{chip.DATA_MASK.bit_length() // 4}X}h"
             elif chip.would_start_drive(address, value, a.chip_axis):
                 self._context.meter.count_move()
@@ -190,7 +192,7 @@ class MotionTools:
     def _begin_watching(self, axis: str, procedure: str, pulses: int | None) -> None:
         """Observe a move of an axis from now on, to make its report later; `pulses` is its length, None if unknown."""
         self._stop_commands.pop(axis, None)
-        self._watched[axis] = ProcedureObserver(self._context.axis(axis), procedure).__enter__(), pulses
+        self._watched[axis] = ProcedureObserver(self._context.get_axis(axis), procedure).__enter__(), pulses
 
     def _stop_watching(self, axis: str) -> None:
         """Stop watching the move of an axis without a report."""
@@ -200,7 +202,7 @@ class MotionTools:
     def _require_rest(self, axes: Iterable[str]) -> None:
         """Raise ArgumentError if one of the axes moves; else stop watching their earlier moves."""
         for name in axes:
-            a = self._context.axis(name)
+            a = self._context.get_axis(name)
             if a.chip.make_replica().busy(a.chip_axis):  # a driver would need a bus cycle to find out
                 raise ArgumentError(f"axis {name} is moving: wait_until_stopped waits for its end, and stop stops it.")
         for name in axes:
@@ -208,8 +210,8 @@ class MotionTools:
 
     def _describe_status(self, axis: str) -> str:
         """Describe from the status why a move ended that the host had started by bus cycles."""
-        places = {p.name: p for p in self._context.axis(axis).chip.MAP.places}
-        words = self._context.driver(axis).read_status_words()
+        places = {p.name: p for p in self._context.get_axis(axis).chip.MAP.places}
+        words = self._context.get_driver(axis).read_status_words()
         return "; ".join(FieldDescriber(places[name]).describe(name, value) for name, value in words.items())
 
     def _report_watched_move(self, axis: str, reason: str, stop_command: str = "") -> dict[str, Any]:
@@ -232,7 +234,7 @@ class MotionTools:
 
     def _parse_move(self, axis: str, values: dict[str, Any]) -> tuple[int, Speeds]:
         """Return the signed number of pulses and the speeds for the arguments of a move."""
-        a, distance, pulses = self._context.axis(axis), values.get("distance"), values.get("pulses")
+        a, distance, pulses = self._context.get_axis(axis), values.get("distance"), values.get("pulses")
         if (distance is None) == (pulses is None):
             raise ArgumentError('give distance ("10mm") or pulses, one of the two.')
         number = procedures.convert_to_pulses(a, distance, pulses)
@@ -251,7 +253,7 @@ class MotionTools:
 
     def _parse_speeds(self, axis: str, values: dict[str, Any]) -> Speeds:
         """Return the speeds for the arguments of a move. Raises ArgumentError for a speed below MIN_RATE_PPS."""
-        a, (speed, start_speed) = self._context.axis(axis), (values.get(n) for n in ("speed", "start_speed"))
+        a, (speed, start_speed) = self._context.get_axis(axis), (values.get(n) for n in ("speed", "start_speed"))
         least = MIN_RATE_PPS * a.meters_per_pulse
         for name, value in (("speed", speed), ("start_speed", start_speed)):
             if value is not None and value < least:

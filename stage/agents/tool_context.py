@@ -47,20 +47,20 @@ class ToolContext:
         """Simulated time in seconds, to the nanosecond."""
         return round(self.stage.time, 9)
 
-    def axis(self, name: str) -> Axis:
+    def get_axis(self, name: str) -> Axis:
         """Return the axis with this name."""
         return self.stage.axes[name]
 
-    def driver(self, name: str) -> Driver:
+    def get_driver(self, name: str) -> Driver:
         """Return the host driver of an axis, the same one for each call because it stores what it has written."""
-        axis = self.axis(name)
+        axis = self.get_axis(name)
         if name not in self._drivers:
             self._drivers[name] = get_driver(axis)
         return self._drivers[name]
 
-    def trace_of(self, axis: str) -> BusTrace:
+    def get_trace(self, axis: str) -> BusTrace:
         """Return the bus trace of the chip of an axis."""
-        return self.traces[self.stage.chips.index(self.axis(axis).chip)]
+        return self.traces[self.stage.chips.index(self.get_axis(axis).chip)]
 
     def drop_cached_state(self) -> None:
         """Drop the drivers and restart the bus traces, because a snapshot or a reset has changed the state of the stage."""

@@ -55,13 +55,13 @@ class TruthTools:
 
     def peek(self, axis: str) -> dict[str, Any]:
         """Show the registers and words of an axis without a bus cycle."""
-        a = self._context.axis(axis)
+        a = self._context.get_axis(axis)
         return {"axis": axis, "values": a.chip.axis_values(a.chip_axis)}
 
     def place(self, axis: str, position: float) -> dict[str, Any]:
         """Put a carriage somewhere by hand, at rest, with the motors off."""
         self._context.stage.place(**{axis: position})
-        return {"axis": axis, "position": self._context.axis(axis).position}
+        return {"axis": axis, "position": self._context.get_axis(axis).position}
 
     def load(self, mass: float) -> dict[str, Any]:
         """Put a payload on the table, in place of the one it had."""
@@ -92,7 +92,7 @@ class TruthTools:
         text = (inspect.getdoc(function) or name).split("\n\n")[0].replace("\n", " ").replace("`", "")
 
         def act(axis: str = "", **values: Any) -> dict[str, Any]:
-            where: Any = self._context.stage if is_of_stage else self._context.axis(axis)
+            where: Any = self._context.stage if is_of_stage else self._context.get_axis(axis)
             self._faults.append(function(where, **values))
             return {"faults": list(self._context.stage.faults)}
 

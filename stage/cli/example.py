@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     copy = examples.copy_example(name, Path(args.to), args.force)
     extra = examples.REQUIREMENTS.get(name)
     is_missing = extra is not None and not is_installed(extra.library)
-    report_written_file(args, copy, _next_step(copy) + (f"; it {extra}" if is_missing else ""))
+    report_written_file(args, copy, _explain_next_step(copy) + (f"; it {extra}" if is_missing else ""))
     return 0
 
 
@@ -50,7 +50,7 @@ def _describe_example(name: str) -> str:
     return examples.read_title(name) + (f" It {extra}." if extra else "")
 
 
-def _next_step(copy: Path) -> str:
+def _explain_next_step(copy: Path) -> str:
     """Return a sentence that says how to run the copied example."""
     if copy.suffix == ".py":
         return f"run it with: python {copy}"

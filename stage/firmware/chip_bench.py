@@ -228,7 +228,7 @@ class Bench(Bus):
     def _advance(self, until: int) -> None:
         """Advance to a time of the bench, ns, and call the actions that are due."""
         for name, axis in self.axes.items():
-            check_clock_limit(self._clock_at(name, axis.chip, until))
+            check_clock_limit(self._compute_clock_at(name, axis.chip, until))
         while self._events and self._events[0][0] <= until:
             when, _, action = heapq.heappop(self._events)
             self._run(max(when, self._now))
@@ -239,9 +239,9 @@ class Bench(Bus):
         """Run all chips to a time of the bench, ns."""
         self._now = until
         for name, axis in self.axes.items():
-            axis._run(self._clock_at(name, axis.chip, until))
+            axis._run(self._compute_clock_at(name, axis.chip, until))
 
-    def _clock_at(self, name: str, chip: Chip, time: int) -> int:
+    def _compute_clock_at(self, name: str, chip: Chip, time: int) -> int:
         """Return the clock of the chip of axis `name` at a time of the bench, ns."""
         return self._start[name] + time * chip.clock_hz // 1_000_000_000
 

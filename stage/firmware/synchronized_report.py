@@ -247,19 +247,19 @@ class CarriageDeviationMeter:
             self._axes = []
             return
         self.worst = 0.0
-        self._start = self._positions()
+        self._start = self._read_positions()
         self._line = np.array(
             [distances[n] * (a.meters_per_pulse or 0.0) * np.sign(getattr(a, "gear", 1.0)) for n, a in axes.items()]
         )
 
-    def _positions(self) -> np.ndarray:
+    def _read_positions(self) -> np.ndarray:
         """Return the positions of the carriages relative to the start, m."""
         return np.array([a.position for a in self._axes])
 
     def measure(self) -> None:
         """Measure the present distance from the line, and keep it if it is the largest one."""
         if self._axes:
-            off = self._positions() - self._start
+            off = self._read_positions() - self._start
             along = min(max(off @ self._line / (self._line @ self._line), 0.0), 1.0)
             self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._line)))
 

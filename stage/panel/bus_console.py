@@ -113,7 +113,7 @@ class BusConsole:
         """Show the new lines of the bus trace, and the new diagnostics of all chips."""
         traces = self._panel.observer.traces
         trace = traces[self._target[0]]
-        for line in trace.lines_after(self._last_line):
+        for line in trace.get_lines_after(self._last_line):
             self._last_line = line.number
             self._log.append(line.format(trace.digits), "bad" if line.kind in (DIAGNOSTIC, "lost") else "", line.first)
         has_new = False

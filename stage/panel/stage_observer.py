@@ -70,7 +70,7 @@ class BusTrace:
     """Trace of the last MAX_LINES bus cycles and diagnostics of a chip, in words. Cycles of any host or tool count.
 
     A journal of the chip supplies all writes, and the reads that change the chip. Other reads are in the trace only if they are
-    made with its method `read`, because a host that polls would fill it. Only `lines_after` may be called from any thread.
+    made with its method `read`, because a host that polls would fill it. Only `get_lines_after` may be called from any thread.
 
     Args:
         chip: The chip.
@@ -118,7 +118,7 @@ class BusTrace:
         self.add_new_entries()
         return datum
 
-    def lines_after(self, number: int) -> list[TraceLine]:
+    def get_lines_after(self, number: int) -> list[TraceLine]:
         """Return the lines with higher numbers than `number`, oldest first."""
         return [line for line in tuple(self.lines) if line.number > number]
 

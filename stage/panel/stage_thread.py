@@ -300,7 +300,7 @@ class StageThread:
             self._restart_clock()
             while not self._closed and self._is_driving():
                 self._carry_out_orders()
-                if (action := self._next_action()) is not None:
+                if (action := self._take_next_action()) is not None:
                     self._perform_action(action)
                 elif self._paused or self._trouble:
                     self._wait_paused()
@@ -362,7 +362,7 @@ class StageThread:
         if carried_out:
             self._publish_view()
 
-    def _next_action(self) -> SessionAction | None:
+    def _take_next_action(self) -> SessionAction | None:
         """Take the next waiting action and make it the one under way; None if none waits."""
         with self._work:
             self._acting = self._actions.popleft() if self._actions else None

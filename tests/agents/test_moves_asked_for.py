@@ -195,4 +195,4 @@ def test_a_distance_needs_a_unit_and_fits_into_the_travel(make_box, tool):
         assert "has no unit; write a text such as '10mm' or '30deg'." in text
     text = box.call(tool, {"axis": "x", "distance": "10m"}).text
     assert "10000 mm is more than the travel of axis x, -150 to 150 mm." in text
-    assert box.axis("x").position == 0.0
+    assert box.get_axis("x").position == 0.0

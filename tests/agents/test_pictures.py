@@ -41,7 +41,7 @@ def test_the_picture_in_host_mode_hides_the_true_state(make_box, figures):
         if mode == "host":
             assert figure.report == hide_truth(box.report)
             assert (figure.report.start, figure.report.position, figure.report.lost_steps) == (None, None, None)
-            assert figure.pins == find_readable_pins(type(box.axis("x").chip))
+            assert figure.pins == find_readable_pins(type(box.get_axis("x").chip))
         else:
             assert figure.report is box.report
             assert figure.pins is None

@@ -29,7 +29,7 @@ def test_a_stop_that_the_host_has_written_is_named(make_box, chips, k):
     if STOPS[chips]:
         box.call("write_bytes", {"axis": "x", "address": 0, "values": [STOPS[chips][k]]})
     else:
-        driver = get_driver(box.axis("x"))
+        driver = get_driver(box.get_axis("x"))
         box.call("command", {"axis": "x", "name": (driver.STOP, driver.SLOW_DOWN)[k]})
     message = box.call("wait_until_stopped", {"axis": "x"}).data
     assert message["stopped_by"].startswith("stopped by the host: ")

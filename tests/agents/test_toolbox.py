@@ -341,7 +341,7 @@ def test_names_are_listed_in_the_order_of_the_axes_whatever_chips_they_have():
         box = Toolbox(Stage("xy", chips=dict(zip("xy", chips, strict=True)), visuals=False))
         for tool in ("read_register", "write_register", "command"):
             listed = box.tools[tool].schema()["properties"]["name"]["enum"]
-            first = box.axis("x").chip.MAP
+            first = box.get_axis("x").chip.MAP
             assert listed[0] in {*(r.name for r in first.registers), *(w.name for w in first.words)}, (chips, tool)
 
 

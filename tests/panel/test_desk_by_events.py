@@ -288,7 +288,7 @@ def test_cycles_are_made_in_order_and_reads_are_returned_and_traced(served, page
     ]
     result = page.within(lambda: chips.make_bus_cycles(served.panel, 1, cycles))
     assert any(result)
-    assert [(line.kind, line.address) for line in trace.lines_after(before)] == [
+    assert [(line.kind, line.address) for line in trace.get_lines_after(before)] == [
         ("W", 0),
         ("W", 1),
         ("W", 2),

@@ -23,7 +23,7 @@ def second(bench, open_browser):
 
 def get_effects(bench):
     """Return the effects of accepted commands: the bus cycles of the panel, and whether time is paused."""
-    return bench.panel.observer.traces[0].lines_after(0), bench.session.paused
+    return bench.panel.observer.traces[0].get_lines_after(0), bench.session.paused
 
 
 def test_forged_clicks_and_messages_of_an_observer_do_nothing(bench, second):

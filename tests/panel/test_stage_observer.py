@@ -51,7 +51,7 @@ def test_the_trace_has_the_cycles_of_every_host(observer):
     assert not [line for line in observer.traces[1].lines if line.kind == "W"]
     before = trace.lines[-1].number
     assert session.do(lambda stage: trace.read(0)) & 0x40 == 0
-    (line,) = trace.lines_after(before)
+    (line,) = trace.get_lines_after(before)
     assert (line.kind, line.address) == ("R", 0)
     assert "not operating" in line.words
 
@@ -118,11 +118,11 @@ def test_a_host_that_polls_has_one_line_that_counts():
     before = last.number
     for _ in range(3):
         trace.read(0x14)
-    (line,) = trace.lines_after(before)
+    (line,) = trace.get_lines_after(before)
     assert (line.first, line.times) == (last.first, last.times + 3)
     x.chip.write(0x22, 0x40)
     trace.read(0x14)
-    assert [(line.kind, line.times) for line in trace.lines_after(line.number)] == [("W", 1), ("R", 1)]
+    assert [(line.kind, line.times) for line in trace.get_lines_after(line.number)] == [("W", 1), ("R", 1)]
     for _ in range(2):
         x.chip.write(0x22, 0x40)
     trace.add_new_entries()

@@ -62,9 +62,9 @@ class Decoder(cycle_descriptions.Decoder):
         if command is None or command.kind not in WRITING_KINDS:
             return [Statement(clock, "command", f"{value:04X}", words)]
         register = self._map.register(command.symbol)
-        return [Statement(clock, "register", f"{value:04X}", words, register.name, self._data(register))]
+        return [Statement(clock, "register", f"{value:04X}", words, register.name, self._read_data_value(register))]
 
-    def _data(self, register: Register) -> int:
+    def _read_data_value(self, register: Register) -> int:
         """Return the value that a command writes into a register."""
         return register.value(self._words[7] << 16 | self._words[6])
 
@@ -76,7 +76,7 @@ class Decoder(cycle_descriptions.Decoder):
             return "no command"
         if command.kind in WRITING_KINDS:
             register = self._map.register(command.symbol)
-            return f"{register.name} <- {self._data(register)} ({register.description})"
+            return f"{register.name} <- {self._read_data_value(register)} ({register.description})"
         return _describe_command(command, value)
 
 
@@ -200,7 +200,7 @@ class CycleDescriber:
         else:
             n, high, width, value = address & 7, 0, 2, value & 0xFFFF
         if n >= 6:
-            return self._data(2 * (n - 6) + high, width, value)
+            return self._describe_data_read(2 * (n - 6) + high, width, value)
         name = f"RR{n}"
         if n == 3 and "RR3-1" in self._fields:
             name += "-1" if self._pages >> self._lowest_axis & 1 else "-0"
@@ -211,7 +211,7 @@ class CycleDescriber:
         fields = self._fields.get(name)
         return fields.describe(head, value << 8 * high) if fields else f"{head} is not used on the {self._map.chip}"
 
-    def _data(self, first_byte: int, byte_count: int, value: int) -> str:
+    def _describe_data_read(self, first_byte: int, byte_count: int, value: int) -> str:
         """Describe a read of RR6 or RR7. The description includes the whole value as soon as all of its bytes have been read.
 
         Args:

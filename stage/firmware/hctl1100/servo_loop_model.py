@@ -90,9 +90,9 @@ class ServoLoop:
     @property
     def poles(self) -> np.ndarray:
         """Poles of the closed loop, in z."""
-        return np.roots(self._characteristic())
+        return np.roots(self._compute_characteristic_polynomial())
 
-    def _characteristic(self) -> np.ndarray:
+    def _compute_characteristic_polynomial(self) -> np.ndarray:
         """Return the characteristic polynomial of the closed loop in z, the highest power first."""
         (b, a), (n, d) = self.plant, self.filter
         return np.polyadd(np.convolve(a, d), np.convolve(b, n))
@@ -113,7 +113,7 @@ class ServoLoop:
         (b, a), (_, d) = self.plant, self.filter
         command = np.asarray(command, float)
         velocity_sign = np.sign(np.diff(command, prepend=command[0]))
-        closed = self._characteristic()
+        closed = self._compute_characteristic_polynomial()
         b = np.concatenate([[0.0], b])  # as long as a: one sample late
         by_command = lfilter(np.convolve(a, d), closed, command - command[0])
         return by_command + lfilter(np.convolve(b, d), closed, self.friction * velocity_sign)

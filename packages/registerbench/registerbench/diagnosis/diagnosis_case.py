@@ -81,7 +81,7 @@ class Case:
             0,
         )
         self.box = Toolbox(self.stage, "host", Budget(seconds=BUDGET_S), snapshots=False, more=self._make_tools())
-        self._host = ProgramHost(self.stage, self.box.driver)
+        self._host = ProgramHost(self.stage, self.box.get_driver)
         self.task = TASK.format(complaint=self.setup.complaint, wanted=self.setup.trial, runs=runs)
         self._runs, self._max_runs = 0, runs
         self._power_up()
@@ -207,7 +207,7 @@ class Case:
         lines = parse_program(text, self.stage)
         self._power_up(start)
         watch = TrialObserver(self.stage, self.setup.trial.max_seconds)
-        ended = ProgramHost(self.stage, self.box.driver, watch.sample).run(lines)
+        ended = ProgramHost(self.stage, self.box.get_driver, watch.sample).run(lines)
         if ended["ended"] != COMPLETED:
             return ended["ended"]
         return self.setup.trial.explain_failure(watch.samples, start, self.stage.axes["x"].meters_per_pulse)

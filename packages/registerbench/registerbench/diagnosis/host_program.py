@@ -54,12 +54,12 @@ class ProgramHost:
 
     Args:
         stage: Stage with the chips.
-        driver: Function that returns the host driver of an axis by its name.
+        get_driver: Function that returns the host driver of an axis by its name.
         sample: Function that is called every few milliseconds of simulated time, for an observer.
     """
 
-    def __init__(self, stage: Stage, driver: Callable[[str], Driver], sample: Callable[[], None] | None = None):
-        self.stage, self.driver, self._sample = stage, driver, sample
+    def __init__(self, stage: Stage, get_driver: Callable[[str], Driver], sample: Callable[[], None] | None = None):
+        self.stage, self.get_driver, self._sample = stage, get_driver, sample
         self._base: dict[str, int] = {}
 
     def run(self, lines: Iterable[ProgramLine]) -> dict[str, Any]:
@@ -259,7 +259,7 @@ def _parse_until(words: list[str], stage: Stage) -> Callable[[ProgramHost], None
     wanted, limit = int(words[2]), _parse_seconds(words[3])
 
     def wait_until_bit(host: ProgramHost) -> None:
-        driver = host.driver(host.find_answering_axis(name).name)
+        driver = host.get_driver(host.find_answering_axis(name).name)
         host.wait_until(
             lambda: bool(field.extract(driver.read_status_words()[where])) == bool(wanted),
             limit,
