@@ -24,7 +24,7 @@ def add_agent(commands: Any) -> None:
         "Let a player play the games of a suite by calling tools, and print its score with an interval. A player is one that is "
         "shipped, a command that speaks JSON lines, a language model behind an OpenAI-compatible endpoint, or a client of the "
         "Model Context Protocol. Nothing is called that is not given.",
-        ("stage agent diagnosis --by technician -o technician.jsonl", "the ten broken set-ups, with a transcript"),
+        ("stage agent diagnosis --by technician -o technician.jsonl", "broken set-ups, with a transcript"),
         ("stage agent few-shot --by coordinate --episodes 8", "test episodes of RegisterBench"),
         ("stage agent diagnosis:late --command 'python agent.py'", "a player of your own, in any language"),
         ("stage agent diagnosis --endpoint http://127.0.0.1:8000/v1 --model m", "a language model"),
@@ -50,6 +50,7 @@ def add_agent(commands: Any) -> None:
     g.add_argument("--name", help="name of the player in transcripts and entries")
     g = p.add_argument_group("games")
     g.add_argument("--split", default="train", help="split of a task, see `stage bench` (default: train)")
+    g.add_argument("--round", default="open", metavar="NAME", help="whose seeds are played (default: open)")
     g.add_argument("--episodes", type=parse_integer, metavar="N", help="play only the first N games")
     g = p.add_argument_group("limits")
     g.add_argument(
@@ -97,7 +98,7 @@ def play_suite(args: argparse.Namespace) -> int:
     from stage.support.files import ENTRY, TRANSCRIPT, check_ending, check_writable
 
     player, limits = _make_player(args), arena.Limits(args.most, args.patience, args.time)
-    suite = arena.make_suite(args.suite, args.split, args.episodes)
+    suite = arena.make_suite(args.suite, args.split, args.episodes, args.round)
     _check_options(args, len(suite.games))
     for path, kind in ((args.output, TRANSCRIPT), (args.entry, ENTRY)):
         if path is not None:
@@ -186,7 +187,8 @@ def _print_result(args: argparse.Namespace, result: SuiteResult, out: Any) -> No
         print(file=sys.stderr)
     for r in result.games:
         if result.head.kind == "diagnosis":
-            finding = {1.0: "found", -1.0: "wrong"}.get(r.score["found"], "-")
+            found = r.score["found"]
+            finding = "found" if found == 1 else "partly" if found > 0 else "wrong" if found < 0 else "-"
             repair = "mended" if r.score["mended"] else "-"
             print(f"{r.game:22} {finding:6} {repair:7} {len(r.calls)} calls", file=out)
     print(result, file=out)

@@ -211,10 +211,19 @@ def list_test_seeds(card: Card, split: str, round_: str = OPEN_ROUND) -> list[in
     Raises:
         ArgumentError: There is no such split or round.
     """
+    return draw_test_seeds(f"{card.name} {split}", round_, card.episodes)
+
+
+def draw_test_seeds(games: str, round_: str, count: int) -> list[int]:
+    """Return the test seeds of a round: known ones in the open round, otherwise such that follow from the name of the round.
+
+    Args:
+        games: Name of what is played, such as "few-shot train".
+        round_: Name of the round.
+        count: Number of seeds.
+    """
     if round_ == OPEN_ROUND:
-        return [FIRST_TEST_SEED + k for k in range(card.episodes)]
-    texts = [f"{card.name} {split} {round_} {k}".encode() for k in range(card.episodes)]
+        return [FIRST_TEST_SEED + k for k in range(count)]
+    texts = [f"{games} {round_} {k}".encode() for k in range(count)]
     hashes = [int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little") for text in texts]
-    return [
-        FIRST_TEST_SEED + card.episodes + number % (SEED_LIMIT - FIRST_TEST_SEED - card.episodes) for number in hashes
-    ]
+    return [FIRST_TEST_SEED + count + number % (SEED_LIMIT - FIRST_TEST_SEED - count) for number in hashes]

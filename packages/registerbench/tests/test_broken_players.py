@@ -44,7 +44,7 @@ def test_a_command_that_hangs_or_never_reads_is_abandoned(words):
 def test_a_function_that_hangs_is_abandoned_and_the_next_game_is_played():
     def hangs(table):
         table.call("program")
-        if table.name.endswith("polarity"):
+        if table.name.endswith(":0"):
             while True:
                 pass
 
@@ -151,14 +151,14 @@ def test_a_broken_player_is_explained_along_with_its_score(arguments, code, mess
 
 def test_a_failing_user_function_ends_its_game(tmp_path, monkeypatch, capsys):
     (tmp_path / "fails_now.py").write_text(
-        "def play(table):\n    table.call('program')\n    if 'forgotten' in table.name:\n        raise KeyError('x')\n"
+        "def play(table):\n    table.call('program')\n    if table.name == 'diagnosis:1':\n        raise KeyError('x')\n"
         "async def later(table):\n    table.call('program')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["agent", "diagnosis", "--episodes", "3", "--by", "fails_now:play"]) == 1
     out, err = capsys.readouterr()
-    assert "3 of 10 games" in out
-    assert "stage: diagnosis:forgotten: failed: KeyError: 'x'" in err
+    assert "3 of 64 games" in out
+    assert "stage: diagnosis:1: failed: KeyError: 'x'" in err
     assert main([*AGENT_COMMAND, "--by", "fails_now:later"]) == 0
     assert "1 calls" in capsys.readouterr().out
 

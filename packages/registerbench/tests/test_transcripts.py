@@ -91,7 +91,10 @@ def test_unverifiable_fields_are_reported_as_claimed(three, tmp_path, capsys):
 
 def test_a_part_is_never_reported_as_the_suite(three, delayed, tmp_path, capsys):
     """A partial transcript counts its games and has no score of the suite."""
-    for came, message in ((three, "3 of 10 games of diagnosis: "), (delayed, "1 of 10 games of diagnosis: ")):
+    for came, message in (
+        (three, "3 of 64 games of diagnosis: "),
+        (delayed, "1 of 10 games of diagnosis, for practice: "),
+    ):
         assert message in str(came)
         assert "a part, and no score of the suite" in str(came)
         write_transcript(came, tmp_path / "t.jsonl", overwrite=True)
@@ -212,21 +215,21 @@ def create_breaking_player(at):
 def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
     games, file = make_suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
     with TranscriptWriter(file, make_header(games, "p", Limits())) as writer:
-        with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
+        with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:2: the endpoint is out of money$") as error:
             play(games, create_breaking_player(3), "p", report_progress=writer.write_game)
         assert len(error.value.result.games) == 2
     results = replay(file)
     assert not results.is_same
     assert "cut: 2 of its 4 games are there" in str(results)
     file.write_text(
-        file.read_text() + '{"game": "diagnosis:wide", "seed": null}\n{"call": "pro'
+        file.read_text() + '{"game": "diagnosis:2", "seed": 1000002}\n{"call": "pro'
     )  # killed while it wrote
     assert "2 of its 4 games" in replay(file).missing_part
     later = create_breaking_player(0)
     with TranscriptWriter(file, make_header(games, "p", Limits()), resume=True) as writer:
         came = play(games, later, "p", report_progress=writer.write_game, earlier_games=writer.earlier_games)
         writer.write_summary(came)
-    assert later.games == ["diagnosis:wide", "diagnosis:swapped"]
+    assert later.games == ["diagnosis:2", "diagnosis:3"]
     assert replay(file).is_same
     assert len(read_transcript(file).games) == 4
     with pytest.raises(ArgumentError, match="nothing is left"):

@@ -124,7 +124,13 @@ class HomeActionConverter(ActionConverter):
         return drifting_home.make_action(**values)
 
     def choose_formula_arguments(self) -> dict[str, Any]:
-        return {**drifting_home.USUAL, "report": bool(self._env.scripted_action()[-1] > 0)}
+        action = self._env.scripted_action().astype(float)
+        rates = {n: from_log_scale(a, ends) for a, (n, ends) in zip(action, drifting_home.RATES.items(), strict=False)}
+        leave, back_off = (
+            drifting_home.LEAVE * ((action[3] + 1) / 2) ** 3,
+            from_log_scale(action[4], drifting_home.BACK_OFF),
+        )
+        return {**rates, "leave": round(leave), "back_off": round(back_off), "report": bool(action[5] > 0)}
 
 
 class LineActionConverter(ActionConverter):

@@ -1,6 +1,6 @@
 """Games that an agent plays by tools: broken set-ups to diagnose, and episodes of the tasks of the benchmark.
 
-make_suite("diagnosis")                 all ten broken set-ups; make_suite("diagnosis:late") has one of them
+make_suite("diagnosis")                 the set-ups of the open round; make_suite("diagnosis:late") is a named one, for practice
 make_suite("few-shot", episodes=8)      the first test episodes of a task
 """
 
@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from registerbench.arena.action_converters import make_action_converter
-from registerbench.benchmark_tasks import CARDS, OPEN_ROUND
-from registerbench.diagnosis import SETUPS, Case
-from registerbench.entry_creation import EpisodeSequence
+from registerbench.benchmark_tasks import CARDS, OPEN_ROUND, draw_test_seeds
+from registerbench.diagnosis import SETUPS, Case, Setup, generate_setup
+from registerbench.entry_creation import EpisodeSequence, limit_episodes
 from registerbench.entry_files import Entry
 from stage.agents import Tool
 from stage.agents.tool import ToolSet
@@ -22,6 +22,7 @@ from stage.errors import ArgumentError, StageError
 DIAGNOSIS = "diagnosis"
 TRACK = "tools"
 TRAIN = "train"  # default split
+DIAGNOSIS_GAMES = 64  # set-ups of a round
 
 
 class Game:
@@ -29,7 +30,7 @@ class Game:
 
     Attributes:
         name: Name of the game.
-        seed: Seed of the episode; None for broken set-ups.
+        seed: Seed of the episode or of the set-up; None for named set-ups.
         task: Goal of the game, in words.
         calls: Tools of the player.
     """
@@ -56,8 +57,8 @@ class Game:
 class DiagnosisGame(Game):
     """Game in which the player diagnoses and repairs a broken set-up."""
 
-    def __init__(self, name: str):
-        self.case, self.name = Case(name), f"{DIAGNOSIS}:{name}"
+    def __init__(self, name: str, setup: Setup | str, seed: int | None = None):
+        self.case, self.name, self.seed = Case(setup), name, seed
         self.task, self.calls = self.case.task, self.case.box
 
     @property
@@ -68,10 +69,12 @@ class DiagnosisGame(Game):
         reached = self.case.score()
         return {
             "value": reached.value,
-            "found": float(reached.found),
+            "found": reached.found,
             "mended": float(reached.repaired),
             "work": reached.work,
             "runs": reached.runs,
+            "moves": reached.moves,
+            "calls": reached.calls,
         }
 
 
@@ -143,7 +146,7 @@ class Suite:
 
     Attributes:
         name: Name of the suite.
-        split, round: Split and round of a task; "" for broken set-ups.
+        split, round: Split and round; "" for what a suite does not have.
         games: Name and seed of each game.
         total_games: Number of games of the complete suite.
     """
@@ -155,6 +158,7 @@ class Suite:
         total_games: int,
         make_game: Callable[[int], Game],
         sequence: EpisodeSequence | None = None,
+        round_: str = "",
     ):
         self.name, self.games, self.total_games, self._make_game, self._sequence = (
             name,
@@ -163,7 +167,7 @@ class Suite:
             make_game,
             sequence,
         )
-        self.split, self.round = ("", "") if sequence is None else (sequence.split, sequence.round_)
+        self.split, self.round = ("", round_) if sequence is None else (sequence.split, sequence.round_)
 
     def __iter__(self) -> Iterator[Game]:
         try:
@@ -208,17 +212,25 @@ def make_suite(name: str, split: str = TRAIN, episodes: int | None = None, round
     first, _, set_up = name.partition(":")
     kind = choose("suite", first, tuple(list_suites()))
     if kind == DIAGNOSIS:
-        if split != TRAIN:
-            raise ArgumentError(f"split {split!r}: {DIAGNOSIS} has no splits; they are of RegisterBench's tasks.")
-        names = [choose("set-up", set_up, tuple(SETUPS))] if set_up else list(SETUPS)
-        if episodes is not None and not 1 <= episodes <= len(names):
-            raise ArgumentError(f"episodes={episodes}: 1 to {len(names)} here.")
-        names = names[:episodes]
-        return Suite(name, [(f"{DIAGNOSIS}:{n}", None) for n in names], len(SETUPS), lambda k: DiagnosisGame(names[k]))
+        return _make_diagnosis_suite(set_up, split, episodes, round_)
     if set_up:
         raise ArgumentError(f"suite {name!r}: {kind} has episodes, and no names in them; give episodes=1 for one.")
     sequence = EpisodeSequence(kind, split, TRACK, round_, {}, episodes)
     return Suite(kind, _list_episodes(sequence), sequence.card.episodes, lambda k: BenchmarkGame(sequence), sequence)
+
+
+def _make_diagnosis_suite(set_up: str, split: str, episodes: int | None, round_: str) -> Suite:
+    """Make the suite of a round's set-ups, or of one named set-up. The arguments are those of `make_suite`."""
+    if split != TRAIN:
+        raise ArgumentError(f"split {split!r}: {DIAGNOSIS} has no splits; they are of RegisterBench's tasks.")
+    if set_up:
+        limit_episodes([0], episodes)
+        name = f"{DIAGNOSIS}:{choose('set-up', set_up, tuple(SETUPS))}"
+        return Suite(name, [(name, None)], len(SETUPS), lambda k: DiagnosisGame(name, set_up))
+    seeds = limit_episodes(draw_test_seeds(DIAGNOSIS, round_, DIAGNOSIS_GAMES), episodes)
+    games = [(f"{DIAGNOSIS}:{k}", seed) for k, seed in enumerate(seeds)]
+    make_game = lambda k: DiagnosisGame(games[k][0], generate_setup(seeds[k]), seeds[k])  # noqa: E731
+    return Suite(DIAGNOSIS, games, DIAGNOSIS_GAMES, make_game, round_=round_)
 
 
 def _list_episodes(sequence: EpisodeSequence) -> list[tuple[str, int | None]]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from registerbench.arena.game_session import MAX_CALLS, Limits, round_trip_json
 from registerbench.arena.games import DIAGNOSIS
+from registerbench.benchmark_tasks import OPEN_ROUND
 from registerbench.entry_files import Entry
 from registerbench.score_statistics import compute_interval, compute_iqm
 
@@ -117,7 +118,8 @@ class SuiteResult:
     def summary(self) -> str:
         """Sentence with the suite, the score and the number of calls. It omits the tokens, which only the player states."""
         n, valid = len(self.games), sum(r.valid_calls for r in self.games)
-        where = f"{self.head.kind} {self.head.split}".rstrip()
+        where = f"{self.head.kind} {self.head.split}".rstrip() + ", for practice" * (":" in self.head.suite)
+        where += f", round {self.head.round}" * (self.head.round not in ("", OPEN_ROUND))
         what = "mean of found and mended" if self.head.kind == DIAGNOSIS else "interquartile mean of the return"
         head = f"{where}, all {n} games: " if self.is_complete else f"{n} of {self.head.of} games of {where}: "
         part = "" if self.is_complete else "; a part, and no score of the suite"

@@ -1,14 +1,14 @@
-"""The ten broken set-ups, each with the customer's complaint, the host's program, the cause, and the acceptance trial."""
+"""Broken set-ups: the customer's complaint, the host's program, the causes, and the acceptance trial. Ten have names."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from registerbench.diagnosis.acceptance_trial import AcceptanceTrial
-from registerbench.diagnosis.machine_faults import loosen_coupling, lower_supply_voltage, swap_limit_wires
-from stage import Stage
+from registerbench.diagnosis.machine_faults import DEFAULT_SEVERITIES, SERVICES
 
+NO_FAULT = "no fault"
 CAUSES = {
     "wrong polarity bit": "the chip is told that a sensor is of the other logic",
     "R6 missing after reset": "the ramp-down point is gone when the move begins",
@@ -20,33 +20,48 @@ CAUSES = {
     "missing reset command": "a start comes without the reset command that has to go before it",
     "slipping coupling": "not all of the motor's torque reaches the screw",
     "S-curve failure of the MCX304": "a decelerating stop at the end of an S-curve drive never ends",
+    "jammed guides": "the carriage does not move, whatever pushes",
+    "broken motor wire": "one phase of the motor has no current",
+    "stuck ORG sensor": "the sensor never trips, or never lets go",
+    NO_FAULT: "machine and program do what is wanted, whatever the customer says",
 }
 """Causes that an agent can answer, with their descriptions."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Broken set-up: a machine and a host's program that do not meet the customer's requirements.
+    """Broken set-up: a machine and a host's program that do not meet the customer's requirements, unless its cause is NO_FAULT.
 
     Attributes:
         name: Name of the set-up.
-        cause: Key of CAUSES.
+        causes: Keys of CAUSES, one or two.
         complaint: Complaint of the customer.
         program: Program of the host, see host_program.py.
         trial: Requirements of the customer.
         chips: Chips of the stage.
         payload: Mass on the table, kg.
-        break_machine: Function that makes the fault at each power-up until it is repaired; None if the program is at fault.
+        model: Name of the stage's model.
+        right_program: Program that meets the requirements on a healthy machine; "" if `program` does.
+        severities: Severities of the faults of the machine that differ from DEFAULT_SEVERITIES, by cause.
     """
 
     name: str
-    cause: str
+    causes: tuple[str, ...]
     complaint: str
     program: str
     trial: AcceptanceTrial
     chips: str = "pcl240k"
     payload: float = 0.0
-    break_machine: Callable[[Stage], None] | None = None
+    model: str = "xy"
+    right_program: str = ""
+    severities: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def machine_faults(self) -> dict[str, float]:
+        """Causes that are in the machine, each with its severity."""
+        return {
+            c: self.severities.get(c, DEFAULT_SEVERITIES.get(c, 1.0)) for c in self.causes if c in SERVICES.values()
+        }
 
 
 MOVE_REGISTERS = """\
@@ -101,7 +116,7 @@ SETUPS: dict[str, Setup] = {
     for s in (
         Setup(
             "polarity",
-            "wrong polarity bit",
+            ("wrong polarity bit",),
             "x shall return to its origin, leave it by 10 mm and return again, and never moves. It did with the board of before.",
             """\
 x: operate 08h
@@ -130,7 +145,7 @@ wait 0.2
         ),
         Setup(
             "forgotten",
-            "R6 missing after reset",
+            ("R6 missing after reset",),
             "x shall move 50 mm and back. Since the chip was replaced by its successor it ends with a bang, and stands elsewhere.",
             MOVE_REGISTERS + "x: operate 08h          # once more, to be sure\n" + MOVE_OUT + MOVE_BACK,
             FAST_TRIAL,
@@ -139,7 +154,7 @@ wait 0.2
         ),
         Setup(
             "wide",
-            "R4 wider than its register",
+            ("R4 wider than its register",),
             "x shall move 50 mm and back with a long, soft ramp up. It starts with a jerk, hums, and stays where it is.",
             LONG_RAMP_REGISTERS + MOVE_OUT + MOVE_BACK.replace("R6 <- 3200", "R6 <- 3400"),
             replace(FAST_TRIAL, min_ramp_s=0.24, max_seconds=3.2),
@@ -147,7 +162,7 @@ wait 0.2
         ),
         Setup(
             "swapped",
-            "swapped limit switches",
+            ("swapped limit switches",),
             "x shall run to its plus end, be stopped there by the limit switch, and so at its minus end. It runs against the "
             "rubber and hums on.",
             """\
@@ -168,11 +183,10 @@ until x stopped 8
 wait 0.2
 """,
             AcceptanceTrial((0.15, -0.15), rate_pps=16_000, max_seconds=9.0, starts_m=(0.1,), from_start=False, tolerance_m=1e-3),
-            break_machine=swap_limit_wires,
         ),
         Setup(
             "late",
-            "ramp-down point too late",
+            ("ramp-down point too late",),
             "x shall move 50 mm with 2 kg on it, and back. It starts well, stops hard, and stands somewhere else.",
             MOVE_REGISTERS.replace("R6 <- 3200", "R6 <- 320 ") + MOVE_OUT + MOVE_BACK,
             FAST_TRIAL,
@@ -180,22 +194,21 @@ wait 0.2
         ),
         Setup(
             "supply",
-            "supply too low",
+            ("supply too low",),
             "x shall move 50 mm and back. Slow moves are good, and on this one it stands still with a whine half way.",
             MOVE_OUT_AND_BACK,
             FAST_TRIAL,
-            break_machine=lower_supply_voltage,
         ),
         Setup(
             "address",
-            "wrong base address",
+            ("wrong base address",),
             "x shall move 50 mm and back. x stands still, and something else moves.",
             "base x 304h             # the card, see its jumpers\n" + MOVE_OUT_AND_BACK,
             FAST_TRIAL,
         ),
         Setup(
             "reset",
-            "missing reset command",
+            ("missing reset command",),
             "x shall move 25 mm twice, with a pause, and back. It makes the first move, and not the second.",
             (MOVE_REGISTERS + MOVE_OUT).replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
             + "x: R0 <- 8000           # once more\nx: operate 15h\nuntil x stopped 5\nwait 0.2\n" + MOVE_BACK,
@@ -203,18 +216,17 @@ wait 0.2
         ),
         Setup(
             "slip",
-            "slipping coupling",
+            ("slipping coupling",),
             "x shall move 50 mm with 2 kg on it, slowly, and back. The motor was changed yesterday; since then it comes short, at "
             "any speed.",
             MOVE_OUT_AND_BACK.replace("R2 <- 8160           # 24 kpps", "R2 <- 2720           # 8 kpps")
             .replace("R4 <- 157", "R4 <- 60").replace("R5 <- 157", "R5 <- 60").replace("R6 <- 3200", "R6 <- 400 "),
             AcceptanceTrial((0.05, 0.0), rate_pps=8000, max_seconds=5.4),
             payload=2.0,
-            break_machine=loosen_coupling,
         ),
         Setup(
             "erratum",
-            "S-curve failure of the MCX304",
+            ("S-curve failure of the MCX304",),
             "x shall move 125 mm by an S-curve, and back. When the speed falls the host asks for a decelerating stop, to be sure. "
             "x runs on for ever.",
             """\
@@ -233,4 +245,4 @@ x: P <- 40000           # 125 mm
         ),
     )
 }  # fmt: skip
-"""Broken set-ups by name."""
+"""Named set-ups, for practice; setup_generation.py draws those of the suite."""

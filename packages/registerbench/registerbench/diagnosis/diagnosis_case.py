@@ -8,24 +8,26 @@ from typing import Any
 from registerbench.diagnosis.acceptance_trial import TrialObserver
 from registerbench.diagnosis.broken_setups import CAUSES, SETUPS, Setup
 from registerbench.diagnosis.host_program import COMPLETED, ProgramHost, parse_program
-from registerbench.diagnosis.machine_faults import REPAIRS, SERVICES
+from registerbench.diagnosis.machine_faults import SERVICES, FaultyMachine
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
 from stage.agents.tool_arguments import Text, argument, choice, choose
 from stage.errors import StageError
 
 MAX_RUNS, BUDGET_S = 20, 240.0
-NEEDLESS_SERVICE_COST, ACTION_COST, SIMULATED_TIME_PER_ACTION_S = 0.25, 0.01, 10.0
-"""Costs as a share of the score of a repair: a service that repairs nothing; a run, a move, or that much simulated time."""
+NEEDLESS_SERVICE_COST, ACTION_COST, CALL_COST, SIMULATED_TIME_PER_ACTION_S = 0.25, 0.01, 0.001, 10.0
+"""Costs as a share of the score of a repair: a service that repairs nothing; a run, a move, or that much time; any call."""
 
 TASK = """A customer has this machine: {complaint}
 What is wanted: {wanted}.
-Its host runs a program, which `program` shows. Find out what is wrong, say it by `answer` (the first answer counts), and mend it:
-by `write_program`, if the program is wrong, by `service`, if the machine is. `run` runs the program on the machine from power-up,
-and `measure` reads the scales at the carriages. All other tools are at the bus. You have {runs} runs. End with `finish`.
-Half of the score is for the cause, where a wrong one costs as much as the right one brings, and half for the machine that you
-deliver: the customer runs the program from power-up, and it does all that is wanted, or not; if the fault was in the machine, also
-the program as it came. A service that mends nothing costs a quarter of this, a run or a move or 10 s a hundredth."""
+Its host runs a program, which `program` shows. Find out what is wrong, if anything is, say it by `answer` (the first answer
+counts), and mend it: by `write_program`, if the program is wrong, by `service`, if the machine is. Customers err. A set-up has one
+fault, two, or none. `run` runs the program on the machine from power-up, and `measure` reads the scales at the carriages. All other
+tools are at the bus. You have {runs} runs. End with `finish`.
+Half of the score is for the causes, where a wrong one costs as much as a right one brings, and half for the machine that you
+deliver, as far as you found the causes: the customer runs the program from power-up, and it does all that is wanted, or not; if a
+fault was in the machine, also the program that was there, without its bug. A service that mends nothing costs a quarter of this, a
+run or a move or 10 s a hundredth, any call a thousandth."""
 
 
 @dataclass(frozen=True)
@@ -33,33 +35,37 @@ class Score:
     """Score of an agent on a broken set-up.
 
     Attributes:
-        found: 1 if the first answer names the cause, -1 if it names another, 0 if there is none.
+        found: Causes that the first answer names rightly minus those that it names wrongly, as a share of the causes; at least -1.
         repaired: Whether the program meets the customer's requirements when it runs from power-up.
-        work: Cost of services, runs, moves and time, as a share of the score of a repair.
+        work: Cost of services, runs, moves, time and calls, as a share of the score of a repair.
         runs: Number of runs.
-        answered: The first answer; "" if there is none.
+        moves: Number of runs and moves.
+        calls: Number of calls.
+        answered: Causes of the first answer.
     """
 
-    found: int
+    found: float
     repaired: bool
     work: float
     runs: int
-    answered: str
+    moves: int
+    calls: int
+    answered: tuple[str, ...]
 
     @property
     def value(self) -> float:
-        """Total score, half for the cause and half for the repair: from -0.5 (wrong answer, nothing repaired) to 1 (both right).
+        """Total score, half for the causes and half for the repair, as far as the causes were found: from -0.5 to 1.
 
         An agent that does nothing scores 0.
         """
-        return 0.5 * self.found + 0.5 * max(self.repaired - self.work, 0.0)
+        return 0.5 * self.found + 0.5 * max(self.found, 0.0) * max(self.repaired - self.work, 0.0)
 
 
 class Case:
     """Broken set-up that an agent diagnoses and repairs. Raises ArgumentError for an unknown name.
 
     Args:
-        name: Name of the set-up.
+        setup: The set-up, or the name of one in SETUPS.
         runs: Number of runs that the agent may make.
 
     Attributes:
@@ -69,39 +75,43 @@ class Case:
         over: Whether the agent has finished.
     """
 
-    def __init__(self, name: str, runs: int = MAX_RUNS):
-        self.setup: Setup = SETUPS[choose("set-up", name, tuple(SETUPS))]
-        self.stage = Stage("xy", chips=self.setup.chips, visuals=False)
+    def __init__(self, setup: Setup | str, runs: int = MAX_RUNS):
+        self.setup = setup if isinstance(setup, Setup) else SETUPS[choose("set-up", setup, tuple(SETUPS))]
+        self.stage = Stage(self.setup.model, chips=self.setup.chips, visuals=False)
         self.stage.set_payload(self.setup.payload)
-        self._text, self._is_repaired, self._answer, self.over, self._needless_services = (
-            self.setup.program,
-            False,
-            "",
-            False,
-            0,
-        )
+        self._machine, self._faults = FaultyMachine(self.stage), self.setup.machine_faults
+        self._text, self.over = self.setup.program, False
+        self._answer: tuple[str, ...] = ()
+        self._needless_services = self._runs = 0
+        self._max_runs = runs
         self.box = Toolbox(self.stage, "host", Budget(seconds=BUDGET_S), snapshots=False, more=self._make_tools())
         self._host = ProgramHost(self.stage, self.box.get_driver)
         self.task = TASK.format(complaint=self.setup.complaint, wanted=self.setup.trial, runs=runs)
-        self._runs, self._max_runs = 0, runs
         self._power_up()
 
     def score(self) -> Score:
         """Return the score. The acceptance trial runs even if the agent's budget is spent."""
-        found = (1 if self._answer == self.setup.cause else -1) if self._answer else 0
+        causes, named = set(self.setup.causes), set(self._answer)
+        found = max((len(named & causes) - len(named - causes)) / len(causes), -1.0)
         used = self.box.meter
+        moves = self._runs + used.moves
         work = (
             NEEDLESS_SERVICE_COST * self._needless_services
-            + ACTION_COST * (self._runs + used.moves)
+            + ACTION_COST * moves
+            + CALL_COST * self.box.calls
             + ACTION_COST * used.ns * 1e-9 / SIMULATED_TIME_PER_ACTION_S
         )
-        return Score(found, not self.explain_failure(), round(work, 9), self._runs, self._answer)
+        return Score(found, not self.explain_failure(), round(work, 9), self._runs, moves, self.box.calls, self._answer)
 
     # --- tools ---
 
     def _make_tools(self) -> list[Tool]:
         """Make the tools of the agent that are specific to broken set-ups."""
-        cause = {"cause": argument(choice(tuple(CAUSES)), "what is wrong")}
+        causes = tuple(CAUSES)
+        cause = {
+            "cause": argument(choice(causes), "what is wrong"),
+            "second": argument(choice(causes), "what else is wrong, if there are two faults", None),
+        }
         work = {"work": argument(choice(tuple(SERVICES)), "what shall be done")}
         text = {"text": argument(Text, "the whole program, lines as `program` shows them")}
         return [
@@ -142,19 +152,17 @@ class Case:
     def _perform_service(self, work: str) -> dict[str, Any]:
         """Answer a tool call: perform a service of SERVICES on the machine."""
         self._require_running()
-        if SERVICES[work] == self.setup.cause and not self._is_repaired:
-            self._is_repaired = True
-        else:
+        if self._faults.pop(SERVICES[work], None) is None:
             self._needless_services += 1
         self._power_up()
         return {"text": "done. The machine is at power-up."}
 
-    def _record_answer(self, cause: str) -> dict[str, Any]:
-        """Answer a tool call: store the cause that the agent names."""
+    def _record_answer(self, cause: str, second: str | None = None) -> dict[str, Any]:
+        """Answer a tool call: store the causes that the agent names."""
         self._require_running()
         if self._answer:
-            raise StageError(f"You have already answered: {self._answer}. The first answer counts.")
-        self._answer = cause
+            raise StageError(f"You have already answered: {', '.join(self._answer)}. The first answer counts.")
+        self._answer = (cause, second) if second is not None else (cause,)
         return {"text": "noted."}
 
     def _finish(self) -> dict[str, Any]:
@@ -170,22 +178,20 @@ class Case:
     # --- the machine ---
 
     def _power_up(self, start: float | None = None) -> None:
-        """Power the machine up, with the fault unless it is repaired, and place x where the customer starts it."""
-        stage = self.stage
-        stage.reset()
+        """Power the machine up, with the faults that are not repaired, and place x where the customer starts it."""
+        self.stage.reset()
         self.box.drop_cached_state()
-        if self._is_repaired and self.setup.cause in REPAIRS:
-            REPAIRS[self.setup.cause](stage)
-        stage.place(x=self.setup.trial.starts_m[0] if start is None else start)
-        if self.setup.break_machine is not None and not self._is_repaired:
-            self.setup.break_machine(stage)
+        self.stage.place(x=self.setup.trial.starts_m[0] if start is None else start)
+        self._machine.make_faults(self._faults)
 
     def explain_failure(self) -> str:
         """Explain why the present machine and program do not meet the requirements; "" if they do.
 
-        If the fault is in the machine, the original program must meet the requirements as well.
+        If a fault was in the machine, the original program without its bug must meet the requirements as well.
         """
-        texts = [self._text] + [self.setup.program] * (self._is_fault_in_machine and self._text != self.setup.program)
+        texts = {self._text: None}
+        if self.setup.machine_faults:
+            texts[self.setup.right_program or self.setup.program] = None
         self.box.meter.end_call()
         return next(
             (
@@ -211,8 +217,3 @@ class Case:
         if ended["ended"] != COMPLETED:
             return ended["ended"]
         return self.setup.trial.explain_failure(watch.samples, start, self.stage.axes["x"].meters_per_pulse)
-
-    @property
-    def _is_fault_in_machine(self) -> bool:
-        """True if the machine is broken, not the program."""
-        return self.setup.cause in SERVICES.values()

@@ -1,6 +1,7 @@
 """A player for broken set-ups that works through a list of checks as a technician would.
 
-It knows what the diagnostics of the chips mean and which services exist. It does not read the customer's complaint.
+It knows what the diagnostics of the chips mean, how a PCL-240 computes its ramps, and which services exist. Of the task it reads
+the places that are wanted, and never the complaint.
 """
 
 from __future__ import annotations
@@ -11,105 +12,166 @@ from typing import Any
 
 from registerbench.arena.game_session import GameSession
 from registerbench.arena.players.formula_and_random import play_formula
+from registerbench.diagnosis.broken_setups import NO_FAULT
+from registerbench.diagnosis.machine_faults import SERVICES
 
+NEAR_MM, AT_REST_MM, SLOW_MOVE_MM, LIMIT_MM = 0.35, 0.04, 4.0, 150.0
+MAX_REPAIRS = 3
 DIAGNOSTIC_SIGNS = (
     ("bits wide", "R4 wider than its register"),
     ("R6 = 0 in a high-speed preset move", "R6 missing after reset"),
     ("without the reset command", "missing reset command"),
-    ("starts on ORG", "wrong polarity bit"),
 )
-"""Part of the text of a diagnostic, and the cause behind it."""
+"""Part of the text of a diagnostic, and the bug behind it."""
 
 
 def play_technician(session: GameSession) -> None:
     """Diagnose and repair a broken set-up; in an episode of a task, do what the formula does."""
-    if "program" not in {t["name"] for t in session.tools}:
-        play_formula(session)
-        return
-    program = session.call("program").text
-    end = session.call("run").data["ended"]
-    diagnostics = session.call("diagnostics").text
-    cause = _find_cause_by_diagnostics(program, end, diagnostics) or _find_cause_by_trial(session, program)
-    if cause in PROGRAM_REPAIRS:
-        session.call("write_program", {"text": PROGRAM_REPAIRS[cause](program)})
+    if "program" in {t["name"] for t in session.tools}:
+        Technician(session).work()
     else:
-        session.call("write_program", {"text": program})
-        session.call("service", {"work": SERVICES_BY_CAUSE[cause]})
-    session.call("answer", {"cause": cause})
-    session.call("finish")
+        play_formula(session)
 
 
-def _find_cause_by_diagnostics(program: str, end: str, diagnostics: str) -> str:
-    """Return the cause that the diagnostics and the end of the program name; "" if they name none."""
+class Technician:
+    """Technician at one set-up: finds the bug of the program first, then the faults of the machine."""
+
+    def __init__(self, session: GameSession):
+        self.session = session
+        self.program = session.call("program").text
+        self.start_mm = session.call("measure").data["x_mm"]
+        places, frame = re.search(r"x comes to ([-\d., ]+) mm (from where it begins)?", session.task).groups()  # type: ignore[union-attr]
+        self.stops_mm = [float(place) + (self.start_mm if frame else 0.0) for place in places.split(",")]
+        self.causes: list[str] = []
+
+    def work(self) -> None:
+        """Find and repair what is wrong, answer, and finish."""
+        places, end = self.run(self.program)
+        diagnostics = self.session.call("diagnostics").text
+        bug = find_bug(self.program, end, diagnostics, places)
+        if bug:
+            self.repair_program(bug)
+        for _ in range(MAX_REPAIRS):
+            places, _ = self.run(cut_after_first_move(self.program))
+            if abs(places["x_mm"] - self.stops_mm[0]) < NEAR_MM:
+                break
+            cause = "wrong base address" if has_moved_another_axis(places) else self.find_cause(places["x_mm"])
+            if cause in PROGRAM_REPAIRS:
+                self.repair_program(cause)
+            else:
+                self.session.call("service", {"work": SERVICES_BY_CAUSE[cause]})
+                self.causes.append(cause)
+        self.session.call("write_program", {"text": self.program})
+        causes = [*dict.fromkeys(self.causes), None]
+        cause = causes[0] or NO_FAULT
+        self.session.call("answer", {"cause": cause, "second": causes[1]} if len(causes) > 2 else {"cause": cause})
+        self.session.call("finish")
+
+    def run(self, program: str) -> tuple[Any, str]:
+        """Run a program, and return the measured places and how it ended."""
+        self.session.call("write_program", {"text": program})
+        end = self.session.call("run").data.get("ended", "")
+        return self.session.call("measure").data, end
+
+    def repair_program(self, cause: str) -> None:
+        """Repair the program, and note the cause."""
+        self.program = PROGRAM_REPAIRS[cause](self.program)
+        self.causes.append(cause)
+
+    def find_cause(self, place_mm: float) -> str:
+        """Find why the first move missed its place, from where x stands then and from a slow, short move.
+
+        Args:
+            place_mm: Place of x after the first move.
+        """
+        self.session.call("stop", {"axis": "x"})
+        before = self.session.call("measure").data["x_mm"]
+        distance = f"{-SLOW_MOVE_MM if before > 0 else SLOW_MOVE_MM}mm"
+        self.session.call("move", {"axis": "x", "distance": distance, "speed": 0.005})
+        traveled = abs(self.session.call("measure").data["x_mm"] - before)
+        if self._is_beyond_limit(place_mm):
+            return "swapped limit switches"
+        if traveled < SLOW_MOVE_MM / 4:
+            return "jammed guides" if max(abs(place_mm - self.start_mm), traveled) < AT_REST_MM else "broken motor wire"
+        if traveled < SLOW_MOVE_MM - AT_REST_MM:
+            return "slipping coupling"
+        if "control 69h" in self.program:
+            return "stuck ORG sensor"
+        if "R6" in self.program and read_register(self.program, "R6") < compute_ramp_down(self.program):
+            return "ramp-down point too late"
+        return "supply too low"
+
+    def _is_beyond_limit(self, place_mm: float) -> bool:
+        """Return whether x stands against the rubber behind the limit switch that it ought to reach."""
+        return abs(place_mm) > LIMIT_MM + 2 and abs(self.stops_mm[0]) > LIMIT_MM - 1 and place_mm * self.stops_mm[0] > 0
+
+
+def find_bug(program: str, end: str, diagnostics: str, places: dict[str, float]) -> str:
+    """Return the bug of the program that a run, the diagnostics and the places of the other axes show; "" if they show none."""
     for sign, cause in DIAGNOSTIC_SIGNS:
         if sign in diagnostics:
             return cause
-    if "gave up" in end:
-        return "S-curve failure of the MCX304" if "STOP_DEC" in program else "swapped limit switches"
-    return ""
+    if "starts on ORG" in diagnostics and "R13 <- 800000h" in program:
+        return "wrong polarity bit"
+    if "STOP_DEC" in program and "gave up" in end:
+        return "S-curve failure of the MCX304"
+    return "wrong base address" if "answers FFh" in end or has_moved_another_axis(places) else ""
 
 
-def _find_cause_by_trial(session: GameSession, program: str) -> str:
-    """Find the cause by moving: the first move of the program alone, then with an earlier ramp-down, then a slow, short move."""
-    places = _run_and_measure(session, _cut_after_first_move(program))
-    if abs(places["y_mm"]) > 1 > abs(places["x_mm"]):
-        return "wrong base address"
-    place_mm = _run_and_measure(session, _cut_after_first_move(_lengthen_ramp_down(program)))["x_mm"]
-    if abs(place_mm - round(place_mm)) < NEAR_MM and abs(place_mm) > 1:
-        return "ramp-down point too late"
-    session.call("stop", {"axis": "x"})
-    before = session.call("measure").data["x_mm"]
-    session.call("move", {"axis": "x", "distance": "-4mm", "speed": 0.005})
-    traveled = abs(session.call("measure").data["x_mm"] - before)
-    return "supply too low" if abs(traveled - 4) < NEAR_MM else "slipping coupling"
+def has_moved_another_axis(places: dict[str, float]) -> bool:
+    """Return whether an axis other than x stands elsewhere than at power-up."""
+    return any(abs(place) > NEAR_MM for name, place in places.items() if name != "x_mm")
 
 
-def _run_and_measure(session: GameSession, program: str) -> Any:
-    """Replace the program, run it, and return the measured positions."""
-    session.call("write_program", {"text": program})
-    session.call("run")
-    return session.call("measure").data
+def cut_after_first_move(program: str) -> str:
+    """Return the program up to the first wait after x has stopped."""
+    match = re.search(r"until x stopped[^\n]*\nwait[^\n]*\n", program)
+    return program[: match.end()] if match else program
 
 
-def _cut_after_first_move(program: str) -> str:
-    """Return the program up to the first wait after a start."""
-    return program[: program.index("\n", program.index("wait", program.index("operate 15h"))) + 1]
+def read_register(program: str, name: str) -> int:
+    """Read the value that a program first writes to a register, by name or by bytes."""
+    match = re.search(rf"x: {name} <- (\d+)", program)
+    if match:
+        return int(match[1])
+    match = re.search(rf"x: 8{name[1]} 2: (\w+) 1: (\w+)", program)
+    return int(match[1] + match[2], 16) if match else 0
 
 
-def _lengthen_ramp_down(program: str) -> str:
-    """Return the program with an earlier ramp-down of its moves."""
-    return re.sub(r"R6 <- (\d+)", lambda match: f"R6 <- {10 * int(match[1])}", program, count=1)
+def compute_ramp_down(program: str) -> int:
+    """Compute the ramp-down point of a PCL-240's program from its rates and its deceleration, in pulses."""
+    low, high, slope, multiplier = (read_register(program, name) for name in ("R1", "R2", "R5", "R7"))
+    seconds = (high - low) * slope / 4_915_200
+    return round((low + high) / 2 * 600 / multiplier * seconds)
 
 
-def _change_each_start(program: str, change: Callable[[str], str]) -> str:
-    """Change each part of a program that ends with a start command."""
-    *parts, rest = re.split(r"(?<=operate 15h)", program)
-    return "".join([*map(change, parts), rest])
+def add_ramp_down(program: str) -> str:
+    """Return the program with the ramp-down point written before each start."""
+    return program.replace("x: operate 15h", f"x: R6 <- {compute_ramp_down(program) + 50}\nx: operate 15h")
 
 
-def _remove_reset_after_registers(part: str) -> str:
-    """Remove reset commands that come after the registers are written."""
-    head, separator, tail = part.partition("R6 <-")
-    return head + separator + re.sub(r"x: operate 08h[^\n]*\n", "", tail)
+def correct_ramp_down(program: str) -> str:
+    """Return the program with the right ramp-down point in all moves."""
+    return re.sub(r"R6 <- \d+ *", f"R6 <- {compute_ramp_down(program) + 50}", program)
 
 
-def _add_reset_before_registers(part: str) -> str:
-    """Add a reset command before the registers are written, unless there is one."""
-    return part if "operate 08h" in part else part.replace("x: R0 <-", "x: operate 08h\nx: R0 <-", 1)
+def copy_deceleration(program: str) -> str:
+    """Return the program with the rate of the deceleration for the acceleration, too."""
+    return re.sub(r"x: 84 2: \w+ 1: \w+[^\n]*", f"x: R4 <- {read_register(program, 'R5')}", program)
 
 
-NEAR_MM = 0.1  # mm
-SERVICES_BY_CAUSE = {
-    "swapped limit switches": "exchange the wires of the end limits of x",
-    "supply too low": "set the supply of the drives to what is on the nameplate",
-    "slipping coupling": "tighten the coupling between motor and screw of x",
-}
+def add_resets(program: str) -> str:
+    """Return the program with a reset command after each wait that a bus cycle follows."""
+    return re.sub(r"(wait [\d.]+\n)(?=x: )(?!x: operate 08h)", r"\1x: operate 08h\n", program)
+
+
+SERVICES_BY_CAUSE = {cause: work for work, cause in SERVICES.items()}
 PROGRAM_REPAIRS: dict[str, Callable[[str], str]] = {
-    "R4 wider than its register": lambda p: re.sub(r"x: 84 2: \w+ 1: \w+", "x: R4 <- 16383", p),
-    "R6 missing after reset": lambda p: _change_each_start(p, _remove_reset_after_registers),
-    "missing reset command": lambda p: _change_each_start(p, _add_reset_before_registers),
+    "R4 wider than its register": copy_deceleration,
+    "R6 missing after reset": add_ramp_down,
+    "missing reset command": add_resets,
     "wrong polarity bit": lambda p: p.replace("x: R13 <- 800000h", "x: R13 <- 0"),
-    "wrong base address": lambda p: p.replace("304h", "300h"),
-    "ramp-down point too late": lambda p: _lengthen_ramp_down(p),
+    "wrong base address": lambda p: re.sub(r"base x \w+", "base x 300h", p),
+    "ramp-down point too late": correct_ramp_down,
     "S-curve failure of the MCX304": lambda p: p.replace("x: STOP_DEC\n", ""),
 }
