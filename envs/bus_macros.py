@@ -36,8 +36,8 @@ reward        the sum of
               cost       - macro_weight for each action, - time_weight x s
               success    success_weight, once
               damage     - damage_weight when the first step is lost, and for each end limit hit
-              failed     at an end without success: the cost that is left up to `macros` and `time_limit`, so that no failure is
-                         cheaper than another
+              failed     the cost that is left up to `macros` and `time_limit`: charged at the first macro, and given back as it is
+                         spent or at success, so that no failure is cheaper than another, nor to leave an episode (TimeLimit)
               With a `discount` below 1, everything is paid at the end, and a loan before, as in RegisterBus: register_bus.py.
 episode       terminated at success, which means that every axis has stopped, its motor pulls it to within `tolerance` of its
               target, friction keeps its carriage within `lag` of that position, no step is lost, and its origin is known. Also
@@ -215,7 +215,7 @@ class BusMacros(BusHost):
         straight = np.abs(axes["target"]) + (np.abs(from_origin) if level == 3 else 0)
         e["usual"] = compute_move_time(straight[:used].astype(float), *RATES["usual"]).max()
         e["potential"] = e["start"] = self._compute_potential(truth[None], slice(stage_index, stage_index + 1))[0]
-        e["loan"] = 0.0
+        e["loan"] = e["left"] = 0.0
 
     def _set_target_options(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
         """Set the targets of the option "targets", pulses by axis. Raises ArgumentError for one that the level does not allow."""
@@ -293,13 +293,15 @@ class BusMacros(BusHost):
         failed = (hopeless | over | timed_out) & ~success
         left = np.maximum(c.macros - self.steps, 0) * c.macro_weight
         left = left + np.maximum(c.time_limit - (now - e["began"]) * 1e-9, 0.0) * c.time_weight
+        left = np.where(success, 0.0, left)
         parts = {
             "progress": c.progress_weight * (potential - e["potential"]),
             "cost": -c.macro_weight - c.time_weight * seconds,
             "success": np.where(success, c.success_weight, 0.0),
             "damage": -c.damage_weight * (first * 1.0 + hits),
-            "failed": np.where(failed, -left, 0.0),
+            "failed": e["left"] - left,
         }
+        e["left"][good] = left[good]
         e["potential"][good], e["before"][good] = potential[good], now[good]
         e["limits"][good] += hits[good]
         s["lost"][good], s["limit"][good] = np.maximum(s["lost"], lost)[good], at_limit[good]
@@ -316,24 +318,25 @@ class BusMacros(BusHost):
         write_scores(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
 
     def _compute_discounted_parts(self, over: np.ndarray) -> dict[str, np.ndarray]:
-        """Compute progress, cost and damage for a `discount` below 1: paid when the episode ends, with a loan before.
+        """Compute progress, cost, damage and failed for a `discount` below 1: paid when the episode ends, with a loan before.
 
         Args:
             over: Mask of the stages whose episode ends, (n,).
 
         Returns:
-            The three parts by name, (n,) each.
+            The parts by name, (n,) each.
         """
         c, e, good = self.config, self.episodes, self.undiverged_stages
         progress = c.progress_weight * (e["potential"] - e["start"])
         cost = -c.macro_weight * self.steps - c.time_weight * 1e-9 * (e["before"] - e["began"])
         damage = -c.damage_weight * ((self.axis_states["lost"].max(axis=1) > 0) + e["limits"])
         dearest = c.macro_weight * c.macros + c.time_weight * c.time_limit
-        loan = np.maximum(progress + cost + damage, -dearest) / (1.0 + (1.0 - c.discount) * c.macros)
+        loan = np.maximum(progress + cost + damage - e["left"], -dearest) / (1.0 + (1.0 - c.discount) * c.macros)
         loan = np.where(over, 0.0, loan)
         paid = np.where(over, progress, c.discount * loan) - e["loan"]
         e["loan"][good] = loan[good]
-        return {"progress": paid, "cost": np.where(over, cost, 0.0), "damage": np.where(over, damage, 0.0)}
+        ends = {"cost": cost, "damage": damage, "failed": -e["left"]}
+        return {"progress": paid, **{name: np.where(over, part, 0.0) for name, part in ends.items()}}
 
     def _compute_potential(self, truth: np.ndarray, which: slice) -> np.ndarray:
         """Compute the potential of some stages, from about -1.5 (far away, origin unknown) to 0 (at the targets).

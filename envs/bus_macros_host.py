@@ -27,10 +27,11 @@ AXIS = record(
 State of the judge: target (pulses), goal (m), lost (largest number of lost full steps), limit (whether an end limit is on)."""
 EPISODE = record(
     [(name, "i8") for name in "level selected began before limits".split()]
-    + [(name, "f8") for name in "potential usual start loan".split()]
+    + [(name, "f8") for name in "potential usual start loan left".split()]
 )
 """State of an episode: began, before (time at its beginning and at that of the step, ns); limits (end limits hit); potential (the
-last one); usual (time of the formula, s); start (potential at the beginning); loan (paid so far, for a discount below 1)."""
+last one); usual (time of the formula, s); start (potential at the beginning); loan (paid so far, for a discount below 1);
+left (costs that are left, charged already)."""
 
 
 class BusHost(MachineTask[Any]):

@@ -21,9 +21,10 @@ reward        the sum of
               error      - error_weight x pulses between the carriage and the place where ORG trips this time, at most 64
               missed     - missed_weight if the carriage is 64 pulses or more from the origin, or the chip did not find it
               damage     - damage_weight if steps were lost, and if a run ended at an end limit
-              report     report_weight for the report of an existing fault. For a false report - false_weight, and the highest
-                         cost of the returns that were left, so that a false report never pays. - unreported_weight at the end of
-                         an episode whose fault was not reported
+              report     report_weight for the report of an existing fault. For a false report - false_weight, and - missed_weight
+                         for each return that was left, so that a false report pays no better than going on. - unreported_weight
+                         / returns for each return on a machine with a fault
+              The weights are such that no episode costs as much as a divergence, which ends it with -10.
 episode       `returns` returns, then truncated; terminated by a report. Each return begins anywhere within `reach` of ORG, on
               either side, but not beyond an end limit.
 score         success: an existing fault was reported; or there was none, none was reported, and each return ended within
@@ -57,6 +58,8 @@ from stage.support import portable_math
 RATES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
 LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses: largest distance; smallest and largest distance
 USUAL = {"search": 8000.0, "ramp": 0.1, "approach": 400.0, "leave": 0, "back_off": 200}
+BRISK = {"search": 9000.0, "ramp": 0.1, "approach": 1000.0, "back_off": 100}
+LEAVE_MARGIN = 300  # pulses beyond ORG from which a search finds it again
 FL = 0.125  # start rate, as a share of the rate of the search
 MAX_ERROR_PULSES = 64.0  # an electrical period of a motor with 1/16 microsteps
 LIMIT_CLEARANCE_M = 1e-3  # smallest distance between the start of a return and an end limit
@@ -84,7 +87,7 @@ class Config(MachineSettings):
         damage_weight: Cost of lost steps, and of a run that ends at an end limit.
         report_weight: Reward for the report of a fault that exists.
         false_weight: Cost of the report of a fault that does not exist.
-        unreported_weight: Cost of a fault that was not reported in the episode.
+        unreported_weight: Cost of a fault that was not reported in the episode, paid in equal parts by its returns.
     """
 
     FAULTS = machine_faults.DISABLING
@@ -98,13 +101,13 @@ class Config(MachineSettings):
     limit: Seconds = 3.0
     settle: Seconds = 0.05
     tolerance: Positive = 12.0
-    time_weight: Weight = 0.5
-    error_weight: Weight = 0.05
-    missed_weight: Weight = 3.0
-    damage_weight: Weight = 0.5
-    report_weight: Weight = 5.0
-    false_weight: Weight = 5.0
-    unreported_weight: Weight = 5.0
+    time_weight: Weight = 0.05
+    error_weight: Weight = 0.005
+    missed_weight: Weight = 0.3
+    damage_weight: Weight = 0.1
+    report_weight: Weight = 1.0
+    false_weight: Weight = 1.0
+    unreported_weight: Weight = 1.0
 
 
 def make_action(
@@ -284,8 +287,7 @@ class DriftingHome(MachineTask[Config]):
         lost = np.where(returned, np.abs(t["lost_steps"]), 0)
         missed = returned & ~(home & (np.abs(error) < MAX_ERROR_PULSES))
         broken, over = self.context["fault"] != 0, self.steps >= c.returns
-        worst = 4 * c.limit * c.time_weight + MAX_ERROR_PULSES * c.error_weight + c.missed_weight + 2 * c.damage_weight
-        false = -c.false_weight - worst * (c.returns - self.steps + 1)
+        false = -c.false_weight - c.missed_weight * (c.returns - self.steps + 1)
         parts = {
             "time": -c.time_weight * duration,
             "error": -c.error_weight * np.minimum(np.abs(error), MAX_ERROR_PULSES),
@@ -294,7 +296,7 @@ class DriftingHome(MachineTask[Config]):
             "report": np.where(
                 reports,
                 np.where(broken, c.report_weight, false),
-                np.where(broken & over, -c.unreported_weight, 0.0),
+                np.where(broken, -c.unreported_weight / c.returns, 0.0),
             ),
         }
         info = {
@@ -368,26 +370,33 @@ class DriftingHome(MachineTask[Config]):
     # --- a host ---
 
     def scripted_action(self) -> np.ndarray:
-        """Return actions with the usual rates.
+        """Return actions at brisk rates.
 
-        The host leaves ORG before the search if ORG is asserted, approaches at half the rate after a failed return, and reports a
-        fault after two failed returns in a row.
+        The host leaves ORG by as far as it has moved beyond the last origin, searches at BRISK rates, at half of them after a
+        failed return, and reports a fault after a return that ran to the end limit, or after two that failed in a row.
         """
         on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.find_switch_input("org") != 0
         failed = np.rint(self.last[:, -1] * self.config.returns)
-        rows = zip(on_org.tolist(), failed.tolist(), strict=True)
+        beyond = np.where(np.isnan(self.last_end), self.config.reach, np.maximum(-self.away, 0.0)) / self.per_pulse
+        rows = zip(on_org.tolist(), beyond.tolist(), failed.tolist(), self.last[:, 2].tolist(), strict=True)
         return np.stack([self._choose_scripted_action(*row) for row in rows])
 
     @staticmethod
-    def _choose_scripted_action(on_org: bool, failures: float) -> np.ndarray:
+    def _choose_scripted_action(on_org: bool, beyond: float, failures: float, end_limit: float) -> np.ndarray:
         """Choose the scripted action of one stage.
 
         Args:
             on_org: Whether ORG is asserted.
+            beyond: Distance by which the carriage may stand beyond ORG, pulses.
             failures: Number of failed returns in a row.
+            end_limit: 1 if the last return ran to an end limit.
         """
-        approach = USUAL["approach"] / (2 if failures else 1)
-        return make_action(leave=LEAVE if on_org else 0, approach=approach, report=failures >= 2)
+        leave = min(round(beyond) + LEAVE_MARGIN, LEAVE) if on_org else 0
+        slower = 2 if failures else 1
+        report = failures >= 2 or (failures >= 1 and end_limit > 0)
+        return make_action(
+            BRISK["search"] / slower, BRISK["ramp"], BRISK["approach"] / slower, leave, int(BRISK["back_off"]), report
+        )
 
 
 class DriftingHomeEnv(StageEnv):

@@ -24,14 +24,16 @@ reward        the sum of
               time       - time_weight x s
               success    success_weight, once
               lost       - lost_weight for every lost full step, the first 64 of an episode
-              failed     the rest of both costs at an end without success: time_weight x s up to the time limit, and lost_weight x
-                         full steps up to 64. So every failure costs the same except for its progress: to use up the actions
-                         early, or to wait, is not better than a try that loses steps.
+              failed     the rest of both costs, time_weight x s up to the time limit and lost_weight x full steps up to 64: charged
+                         at the first action, and given back as time passes and steps are lost, or at success. So every failure
+                         costs the same except for its progress: to use up the actions early, to wait, or to leave an episode
+                         before its end (TimeLimit), is not better than a try that loses steps.
               A `discount` below 1 should be the learner's own. These parts are then paid in full at the end of the episode, and
               their sum is what the episode is worth. Until then, `progress` pays a loan: discount x loan now - loan before; at the
-              end, - loan before. The loan is what the episode was worth so far, at least minus the cost of a failure, divided by
-              (1 + (1 - discount) x cycles). So the sum of the discounted rewards is discount^(steps - 1) x worth, whatever the
-              loans were (potential-based shaping), and the plain sum differs from the worth by less than the largest worth.
+              end, - loan before. The loan is what the episode is worth if it fails here, at least minus the cost of a failure,
+              divided by (1 + (1 - discount) x cycles). So the sum of the discounted rewards is discount^(steps - 1) x worth,
+              whatever the loans were (potential-based shaping), and the plain sum differs from the worth by less than the largest
+              worth.
 episode       terminated at success: every axis has stopped, stands within `tolerance` of its goal, and (with "position") has
               lost no step. Truncated after `time_limit` s or `cycles` actions.
 goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up. That is the

@@ -49,10 +49,11 @@ EPISODE = record(
         ("paid", "i8"),
         ("start", "f8"),
         ("loan", "f8"),
+        ("left", "f8"),
     ]
 )
 """State of an episode: time at its beginning and at that of the step, ns; last potential; value just read, or -1; lost full steps
-that have been paid; potential at its beginning; loan paid so far, for a discount below 1."""
+that have been paid; potential at its beginning; loan paid so far, for a discount below 1; costs that are left, charged already."""
 
 AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
 """State of an axis: goal, m; target, pulses; largest number of lost full steps so far."""
@@ -160,11 +161,12 @@ def _set_discounted_parts(settings, over, now, potential, episode, parts):
     time = -settings.time_weight * 1e-9 * (now - episode.began)
     lost = -settings.lost_weight * episode.paid
     if over:
-        parts.progress, parts.time, parts.lost = progress - episode.loan, time, lost
+        parts.progress, parts.time, parts.lost, parts.failed = progress - episode.loan, time, lost, -episode.left
         return
     dearest = settings.time_weight * 1e-9 * settings.limit + settings.lost_weight * MAX_PAID_STEPS
-    loan = greatest(progress + time + lost, -dearest) / (1.0 + (1.0 - settings.discount) * settings.cycles)
-    parts.progress, parts.time, parts.lost = settings.discount * loan - episode.loan, 0.0, 0.0
+    loan = greatest(progress + time + lost - episode.left, -dearest)
+    loan /= 1.0 + (1.0 - settings.discount) * settings.cycles
+    parts.progress, parts.time, parts.lost, parts.failed = settings.discount * loan - episode.loan, 0.0, 0.0, 0.0
     episode.loan = loan
 
 
@@ -198,10 +200,12 @@ def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words
         more = least(more, MAX_PAID_STEPS - episode.paid)
         episode.paid += more
         parts.lost = -settings.lost_weight * more
-        parts.failed = 0.0
-        if result.truncated:  # the cost of waiting until the end, and of all steps that could have been lost
-            left = 1e-9 * (settings.limit - (now - episode.began))
-            parts.failed = -(settings.time_weight * left + settings.lost_weight * (MAX_PAID_STEPS - episode.paid))
+        left = 0.0  # the cost of waiting until the end, and of all steps that could be lost: charged at once, given back at success
+        if not success:
+            left = settings.time_weight * 1e-9 * (settings.limit - (now - episode.began))
+            left += settings.lost_weight * (MAX_PAID_STEPS - episode.paid)
+        parts.failed = episode.left - left
+        episode.left = left
         if settings.discount < 1.0:
             _set_discounted_parts(settings, success or result.truncated, now, potential, episode, parts)
         result.reward = parts.progress + parts.time + parts.success + parts.lost + parts.failed
@@ -294,7 +298,7 @@ def conclude_steps(frame, begin, end, fresh, results):
             e = episodes[k]
             e.began = e.before = truth[k, 0].now
             e.potential, e.value, e.paid = _compute_potential(axes[k], rules, truth[k]), -1, 0
-            e.start, e.loan = e.potential, 0.0
+            e.start, e.loan, e.left = e.potential, 0.0, 0.0
         else:
             steps[k] += 1
             bad = status[k] == player.DIVERGED

@@ -64,6 +64,25 @@ def test_idle_bus_reads_and_waits_pay_no_better_than_acting():
     assert done > 9
 
 
+@pytest.mark.parametrize("steps", [1, 30])
+@pytest.mark.parametrize("discount", [1.0, 0.99])
+def test_an_episode_that_a_time_limit_cuts_has_paid_for_its_failure(steps, discount):
+    """The rest of the costs was due at the task's own end: TimeLimit(env, 30) ended an idle episode for 0.3 in place of 2.7."""
+    bus = gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, level="target", discount=discount)
+    registers = gymnasium.make("stage/RegisterBus-v0", disable_env_checker=True, discount=discount, **SHORT)
+    spin, read = bus.unwrapped.macros.index("read"), (rb.READ, 0, 0, 0)
+    share = discount**steps / (
+        1 + (1 - discount) * 120
+    )  # of a loan, which is all that is paid before the end with a discount
+    for env, idle, price in ((bus, spin, 120 * 0.01 + 30.0 * 0.05), (registers, read, -FULL)):
+        limited, total, weight, over = gymnasium.wrappers.TimeLimit(env, steps), 0.0, 1.0, False
+        limited.reset(seed=1)
+        while not over:
+            _, reward, finished, cut, _ = limited.step(np.array(idle))
+            total, weight, over = total + weight * reward, weight * discount, finished or cut
+        assert total <= -0.95 * share * price, env.spec.id
+
+
 def play_policy(env, choose, options):
     """Play a policy; return its sum of rewards, the discounted sum, the sum of its final parts, and success."""
     env.reset(seed=1, options=options)

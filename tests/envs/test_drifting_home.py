@@ -8,6 +8,7 @@ import stage.envs  # noqa: F401
 from stage import ArgumentError
 from stage.envs import machine_contexts, machine_faults
 from stage.envs.drifting_home import Config, make_action
+from stage.envs.step_results import DIVERGED
 
 GOOD = make_action()
 """The action of the default rates, which approaches ORG from the plus side."""
@@ -44,16 +45,37 @@ def test_a_healthy_machine_returns_to_its_origin_repeatedly(env):
     assert all(info["home"] and abs(info["error"]) < 12 and not info["lost_steps"] for info in infos)
     assert infos[-1]["score"]["success"]
     assert infos[-1]["score"]["time"] == pytest.approx(np.mean([info["duration"] for info in infos]))
-    assert total > -10
+    assert total > -1
     assert sum(info["reward_parts"]["report"] for info in infos) == 0
 
 
 @pytest.mark.parametrize("reach", [0.004, 0.02])
 def test_the_reference_time_is_that_of_the_default_rates_at_any_reach(reach):
     env = make_env(reach=reach)
-    _, infos = play_episode(env, env.scripted_action, seed=4, options={"fault": "none"})
+    _, infos = play_episode(env, lambda: GOOD, seed=4, options={"fault": "none"})
     assert all(info["start"] > env._task.origin for info in infos), "plus of ORG: one search and back"
     assert abs(infos[-1]["score"]["regret"]) < 0.1
+
+
+def test_the_scripted_host_leaves_org_by_its_distance_beyond_it():
+    env = make_env(reach=0.02, limit=3.0)
+    leaves = []
+    for start, away in ((-0.002, "unknown"), (-0.010, "distant"), (-0.002, "near")):
+        if away == "unknown":
+            env.reset(seed=2, options={"fault": "none", "start": env._task.origin + start})
+        else:  # the next return begins here
+            env._task.place[0] = env._task.origin + start
+            env._task.away[0] = env._task.place[0] - env._task.last_end[0]
+            env.stage.restore(env._task.start)
+            env._task.apply_machine(0)
+            env.stage.place(x=float(env._task.place[0]))
+        action = env.scripted_action()
+        leaves.append(9600 * ((action[3] + 1) / 2) ** 3)
+        assert env.step(action)[4]["home"]
+    unknown, distant, near = leaves
+    assert unknown == pytest.approx(0.02 / env._task.per_pulse + 300, rel=0.01)
+    assert distant == pytest.approx(0.010 / env._task.per_pulse + 300, rel=0.02)
+    assert near == pytest.approx(0.002 / env._task.per_pulse + 300, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -63,34 +85,51 @@ def test_a_fault_shows_in_the_result_of_a_return_and_reporting_it_pays(env, faul
     total, infos = play_episode(
         env, env.scripted_action, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
     )
-    assert [info["home"] for info in infos[-3:]] == [False] * 3
-    assert [info["reported"] for info in infos[-3:]] == [False, False, True]
-    assert infos[-1]["reward_parts"]["report"] == 5
+    assert infos[-1]["reported"]
+    assert not any(info["home"] for info in infos)
+    assert len(infos) <= 3, "after one return that ran to an end limit, or two that failed"
+    assert infos[-1]["reward_parts"]["report"] == 1
     assert infos[-1]["score"]["success"]
     assert infos[-1]["fault"] == machine_faults.NAMES.index(fault)
     silent, infos = play_episode(
         env, lambda: GOOD, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
     )
     assert len(infos) == env._task.config.returns
-    assert infos[-1]["reward_parts"]["report"] == -5
+    assert sum(info["reward_parts"]["report"] for info in infos) == pytest.approx(-1)
     assert not infos[-1]["score"]["success"]
     assert silent < total
 
 
-def test_reporting_a_missing_fault_costs_more_than_any_episode():
-    """An immediate report would otherwise end an episode at a fixed price."""
-    env = make_env(limit=0.05, settle=0.01)
+def test_a_false_report_costs_more_than_going_on_and_dares_no_less_than_a_miss():
+    """Check the price: it was 84 once, which no learner dared, and must still not end an episode at a bargain."""
+    env = make_env(limit=1.5, settle=0.01)
+    config = env._task.config
     reported, (info,) = play_episode(env, lambda: make_action(report=True), options={"fault": "none"})
     assert info["reported"]
     assert not info["score"]["success"]
     assert env.stage.time == 0, "and nothing was moved"
-    worst, infos = play_episode(env, lambda: GOOD, options={"fault": "none"})
-    assert all(info["late"] for info in infos)
-    assert reported < worst - 5
-    delayed, infos = play_episode(
-        env, iter([GOOD] * 2 + [make_action(report=True)]).__next__, options={"fault": "none"}
-    )
-    assert delayed < worst - 4, "nor is it cheaper at the end"
+    assert reported == pytest.approx(-config.false_weight - config.returns * config.missed_weight)
+    played, _ = play_episode(env, env.scripted_action, options={"fault": "none"})
+    assert reported < played - 1
+    later, infos = play_episode(env, iter([GOOD] * 2 + [make_action(report=True)]).__next__, options={"fault": "none"})
+    assert infos[-1]["reward_parts"]["report"] == pytest.approx(-config.false_weight - config.missed_weight)
+    assert later < played - 1, "nor is it a bargain at the end"
+
+
+def test_no_episode_costs_as_much_as_a_divergence():
+    """A divergence cost 10, and an episode of failed returns up to 84: to diverge was the cheap way out."""
+    c = Config()
+    worst = 4 * c.limit * c.time_weight + 64 * c.error_weight + c.missed_weight + 2 * c.damage_weight
+    assert -c.returns * worst - c.unreported_weight > DIVERGED
+    assert -c.false_weight - c.returns * max(worst, c.missed_weight) > DIVERGED
+
+
+def test_a_limit_of_gymnasium_does_not_spare_the_price_of_silence():
+    """The price of a fault that is not reported was due at the task's own end, before which TimeLimit ended the episode."""
+    env = gymnasium.wrappers.TimeLimit(make_env(returns=3), 2)
+    _, infos = play_episode(env, lambda: GOOD, options={"fault": "org closed"})
+    assert len(infos) == 2
+    assert [info["reward_parts"]["report"] for info in infos] == pytest.approx([-1 / 3] * 2)
 
 
 def test_one_failed_return_does_not_prove_a_stuck_switch(env):
