@@ -468,7 +468,7 @@ def test_the_demo_opens_the_viewer_if_a_screen_exists(bench, monkeypatch, option
 def make_report(axis, procedure="move", asked=5, **fields):
     values = {
         "axis": axis, "procedure": procedure, "asked": asked, "pulses": 5, "duration": 0.1, "peak_rate": 1e3, "position": 1e-3,
-        "unit": "m", "lost_steps": 0, "ok": True, "stopped_by": "ORG" if asked is None else "R0 = 0",
+        "unit": "m", "lost_steps": 0, "lost_pulses": 0, "ok": True, "stopped_by": "ORG" if asked is None else "R0 = 0",
     }  # fmt: skip
     return SimpleNamespace(**values | fields)
 

@@ -187,3 +187,14 @@ def test_a_speed_of_the_carriage_is_that_many_pulses_per_second(option, capsys):
     first = capsys.readouterr().out.splitlines()[0]
     assert "FH1 16000.0" in first
     assert "FL to FH1 in 100" in first, "--accel is the time to the speed that the move uses"
+
+
+@pytest.mark.parametrize("chip", ["pcl240k", "pcl240ms", "mcx514", "mcx304", "hctl1100", "stepdir"])
+@pytest.mark.parametrize("command", ["move x 10mm", "home x", "sync x=1mm y=1mm"])
+def test_every_limit_of_a_speed_is_named_in_the_unit_of_the_question(command, chip, capsys):
+    """stage home x --speed 90000mm/s --chips stepdir"""
+    assert main([*command.split(), "--speed", "90000mm/s", "--chips", chip]) == 2
+    error = capsys.readouterr().err
+    rates = re.findall(r"(?:pps|counts/s|steps per second)(?! \([^)]*mm/s\))", error)
+    assert "mm/s)" in error
+    assert not rates, error

@@ -1,6 +1,8 @@
 """Commands that show what there is."""
 
 import os
+import shlex
+import shutil
 import subprocess
 import sys
 
@@ -35,6 +37,44 @@ def test_a_model_is_drawn_with_the_names_of_its_axes(tmp_path, capsys):
     assert main(["view", "xy", "--picture", str(file)]) == 2
     assert main(["view", "xy", "--picture", str(file), "--force", "--camera", "frnt"]) == 2
     assert "front" in capsys.readouterr().err
+
+
+BASH_SCRIPT = """
+eval "$(stage completion bash)"
+complete_line() {
+    COMP_LINE="$1" COMP_POINT=${#1} COMP_TYPE=9 COMP_WORDS=($1) COMPREPLY=()
+    [[ "$1" == *" " ]] && COMP_WORDS+=("")
+    COMP_CWORD=$((${#COMP_WORDS[@]} - 1))
+    _python_argcomplete stage "${COMP_WORDS[$COMP_CWORD]}" "${COMP_WORDS[$COMP_CWORD - 1]}"
+    echo "${COMPREPLY[@]}"
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_completes_the_names_of_models_chips_motors_power_stages_axes_faults_and_examples(tmp_path):
+    """stage move --chips pcl<Tab>, in a bash that has read the script of `stage completion bash`"""
+    wanted = {
+        "stage view xyz": "xyz xyz_servo",
+        "stage move x 1mm --chips pcl": "pcl240k pcl240mk pcl240ms",
+        "stage move x 1mm --chips x=mcx51": "mcx514 mcx512",
+        "stage registers HC": "HCTL1100",
+        "stage move x 1mm --motor 17HS4": "17HS4401",
+        "stage move x 1mm --drive tb": "tb6600",
+        "stage move --model gantry ": "y w x",
+        "stage sync --model xy ": "x= y=",
+        "stage fault ja": "jam",
+        "stage example sta": "stall",
+    }
+    shim = tmp_path / "stage"
+    shim.write_text(f'#!/bin/sh\nexec {sys.executable} -m stage "$@"\n')
+    shim.chmod(0o755)
+    lines = "".join(f"complete_line {shlex.quote(line)}\n" for line in wanted)
+    done = subprocess.run(
+        ["bash", "-c", BASH_SCRIPT + lines], env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True, text=True, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert [line.strip() for line in done.stdout.splitlines()] == list(wanted.values()), done.stderr
 
 
 def test_shell_completion_proposes_commands_options_and_files(tmp_path):

@@ -68,9 +68,13 @@ class Parser(argparse.ArgumentParser):
         """Set the completer of argcomplete for each argument: names, or files of one kind."""
         from argcomplete.completers import ChoicesCompleter, FilesCompleter
 
+        from stage.cli.argument_names import find_name_completer
+
         for action in self._actions:
             ending = re.search(r"FILE\.(\w+)$", str(action.metavar))
-            if known := getattr(action, "known", None):
+            if completer := find_name_completer(self.prog, action):
+                action.completer = completer  # type: ignore[attr-defined]
+            elif known := getattr(action, "known", None):
                 action.completer = ChoicesCompleter(known)  # type: ignore[attr-defined]
             elif ending:
                 action.completer = FilesCompleter([ending[1]])  # type: ignore[attr-defined]

@@ -39,4 +39,4 @@ def complete(parser: Parser) -> None:
         import argcomplete
 
         parser.set_completers()
-        argcomplete.autocomplete(parser)
+        argcomplete.autocomplete(parser, always_complete_options=False)

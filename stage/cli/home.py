@@ -9,7 +9,7 @@ from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts
 from stage.cli.options import parse_positive_integer
 from stage.cli.output_files import draw_plot, record_to_files
-from stage.cli.stage_setup import find_axis, make_stage, parse_speed_options, place_carriage
+from stage.cli.stage_setup import find_axis, find_speed_unit, make_stage, parse_speed_options, place_carriage
 from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError, add_article
 
@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     """Home axes, those that drive one load together; return 0 if each has found its origin and no step is lost."""
     from stage.firmware.driver import get_driver
     from stage.firmware.gantry_homing import group_tandem_axes
+    from stage.firmware.procedures import explain_rates_in_units
 
     stage = make_stage(args)
     groups = group_tandem_axes([find_axis(stage, name) for name in args.axes] or stage.axes.values())
@@ -64,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
                 print(
                     f"axes {names} drive one load: together to where one meets ORG, then each to its own, as reported"
                 )
-            found = _home_together(args, group, names) if len(group) > 1 else [_home_axis(args, group[0])]
+            with explain_rates_in_units(group[0], find_speed_unit(args)):
+                found = _home_together(args, group, names) if len(group) > 1 else [_home_axis(args, group[0])]
             reports += found
             print(*found, sep="\n")
         add_facts(args, reports=reports)

@@ -138,8 +138,9 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
         _warn_of_tandem(args, axis, axis.tandem, [f"{axis.name}={args.distance}"])
     with record_to_files(args, stage), show_simulated_time(stage):
         pulses, speeds = parse_distance(axis, args.distance), parse_speed_options(args, axis, "rates" not in args)
-        described, overtravel = get_driver(axis).describe_speeds(speeds), describe_overtravel(axis, pulses)
+        overtravel = describe_overtravel(axis, pulses)
         with explain_rates_in_units(axis, find_speed_unit(args)):
+            described = get_driver(axis).describe_speeds(speeds)
             report = run(axis, pulses, speeds)
         if overtravel:
             warn(args, overtravel)

@@ -432,7 +432,7 @@ def _add_speeds(text: str, axis: Any, symbol: str) -> str:
         return f"{match[0]} ({speeds} {symbol})"
 
     number = r"(\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?)"
-    return re.sub(rf"{number}(?: to {number})? pps", add, text)
+    return re.sub(rf"{number}(?: to {number})? (?:pps|counts/s|steps per second)", add, text)
 
 
 def find_reach(axis: Any) -> tuple[float, float]:

@@ -353,5 +353,5 @@ def test_a_line_has_at_most_the_highest_rate_of_the_chip():
     sample = 1 / 1024
     rows = _compute_line_command_positions([2000, 1000], Speeds(0, 127 / sample, 0.05, 0.05), sample)
     assert rows[-1].tolist() == [2000, 1000]
-    with pytest.raises(ArgumentError, match="more than 0, up to 130048 at this sample time"):
+    with pytest.raises(ArgumentError, match="more than 0, up to 130048 counts/s at this sample time"):
         _compute_line_command_positions([2000, 1000], Speeds(0, 128 / sample, 0.05, 0.05), sample)

@@ -29,9 +29,17 @@ def add_subcommand(commands: Any) -> None:
         ("stage fault jam --plot jam.png", "draw a healthy axis and one that jams"),
         ("stage fault bounce --chips mcx514 --record bounce.rrd", "record the run with a switch that bounces"),
     )  # fmt: skip
-    p.add_argument("name", nargs="?", metavar="NAME", help="fault to show, such as jam (default: list them all)")
+    name = p.add_argument("name", nargs="?", metavar="NAME", help="fault to show, such as jam (default: list them all)")
+    name.list_names = _list_faults  # type: ignore[attr-defined]
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
+
+
+def _list_faults(_: argparse.Namespace) -> list[str]:
+    """List the names of the faults, for a shell that completes."""
+    from stage.cli.fault import demonstrations
+
+    return list(demonstrations.DEMOS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -505,7 +505,7 @@ def _compute_line_command_positions(distances: list[int], speeds: Speeds, sample
     maximum = NUMBERS["integral_velocity"].maximum / sample
     if not 0 < speeds.drive <= maximum:
         raise ArgumentError(
-            f"drive speed {speeds.drive:g} counts/s: more than 0, up to {maximum:g} at this sample time."
+            f"drive speed {speeds.drive:g} counts/s: more than 0, up to {maximum:g} counts/s at this sample time."
         ).with_limit(ExceededLimit("speed", speeds.drive, 0.0, maximum))
     rate = compute_peak_rate(0.0, speeds.drive, max_distance, speeds.up, speeds.down)
     up, down = (ramp * rate / speeds.drive for ramp in (speeds.up, speeds.down))

@@ -225,7 +225,7 @@ class NovaDriver(Driver):
         for n, driver in moving_drivers.items():
             line_plan.check_pulses(driver, pulses[n])
         if speeds.drive > line_plan.max_rate:
-            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.max_rate:g} here.").with_limit(
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.max_rate:g} pps here.").with_limit(
                 ExceededLimit("speed", speeds.drive, 0.0, line_plan.max_rate)
             )
         _check_start_speed(speeds)
