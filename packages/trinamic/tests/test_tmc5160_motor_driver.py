@@ -44,12 +44,15 @@ def write_registers(chip, **registers):
 
 
 def measure_pull_out_torque(x, **registers):
-    """Raise the load slowly at 4 turns per second and return the torque in N m at which the motor loses its first step."""
+    """Raise the load slowly at 4 turns per second and return the torque in N m at which the motor loses its first step.
+
+    The motor runs at its final speed before the load rises, because friction and core loss rise with the speed.
+    """
     stage_, dof = x.stage, x.plant.dof
-    write_registers(x.chip, CHOPCONF=0x100100C3, VMAX=286_331, AMAX=2000, **registers)
+    write_registers(x.chip, CHOPCONF=0x100100C3, VMAX=286_331, AMAX=10_000, **registers)
     stage_.run(0.02)
     write_registers(x.chip, RAMPMODE=1)
-    stage_.run(0.4)
+    stage_.run(0.36)
     damping = stage_.model.dof_damping[dof] + x.drive.motor.core_loss_damping * x.gear**2
     resistance = stage_.model.dof_frictionloss[dof] + damping * stage_.data.qvel[dof]
     load = resistance
