@@ -13,12 +13,13 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.board import platforms
+from stage.board import compiled_object_cache, platforms
 from stage.board.bus.host_requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.firmware_pins import (
@@ -173,15 +174,47 @@ def build(
             command = [*find_compiler().split(), "-c", *common, *_select_c_flags(flags), str(source), "-o", objects[-1]]
             messages.append(_compile(source, command, target))
         name = find_compiler("x.cpp" if recipe.cplusplus else "x.c")
+        more = [*common, *recipe.cplusplus_flags]
+        more += _list_cplusplus_flags(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()
+        sources_to_link: Sequence[str] = recipe.files
+        if recipe.cplusplus and compiled_object_cache.can_cache(flags):
+            command = [*name.split(), "-c", *more, *_select_compiler_flags(flags)]
+            compiled = _compile_cplusplus(recipe.files, command, Path(folder), files[0], target)
+            sources_to_link = [str(path) for path, _ in compiled]
+            messages += [message for _, message in compiled]
         command = [
-            *name.split(), "-shared", *common, *BIND_FLAGS, *recipe.cplusplus_flags,
-            *(_list_cplusplus_flags(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()),
-            *recipe.files, *objects, *flags, "-o", str(library),
+            *name.split(), "-shared", *more, *BIND_FLAGS, *sources_to_link, *objects, *flags, "-o", str(library),
         ]  # fmt: skip
         messages.append(_link(files, command, target))
         if warning := "\n".join(filter(None, messages)):
             warnings.warn(escape(f"{files[0]}: the compiler warns:\n{warning}"), CompilerWarning, stacklevel=2)
     return library
+
+
+def _compile_cplusplus(
+    sources: Sequence[str], command: list[str], folder: Path, main: Path, platform: platforms.Platform | None
+) -> list[tuple[Path, str]]:
+    """Compile sources in C++ that have changed since they were compiled last, several at a time.
+
+    Args:
+        sources: The sources.
+        command: Compiler with its options.
+        folder: Folder for temporary files.
+        main: Source that errors name.
+        platform: Platform of the sources.
+
+    Returns:
+        Object file and messages of the compiler of each source.
+    """
+    cache = compiled_object_cache.CompiledObjectCache(folder)
+
+    def compile_source(numbered: tuple[int, str]) -> tuple[Path, str]:
+        k, source = numbered
+        output = folder / f"{k}-{Path(source).stem}.cpp.o"
+        return cache.compile(Path(source), [*command, source], output, lambda full: _compile(main, full, platform))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(compile_source, enumerate(sources)))
 
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:
@@ -281,6 +314,14 @@ def _select_c_flags(flags: Sequence[str]) -> list[str]:
         flag
         for flag in flags
         if not re.match(r"-l|-L|-Wl,|-std=(?:c|gnu)\+\+|[^-].*\.(?:o|a|so[.\d]*|dylib|c|cc|cpp|cxx)$", flag)
+    ]
+
+
+def _select_compiler_flags(flags: Sequence[str]) -> list[str]:
+    """Return the flags without those of the linker and without files."""
+    return [
+        *(flag for flag in flags if flag.startswith("-std=")),
+        *(f for f in _select_c_flags(flags) if f[:5] != "-std="),
     ]
 
 
