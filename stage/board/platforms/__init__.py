@@ -26,6 +26,7 @@ WRAPPER = ".pulsestage.cpp"
 """Ending of files that are made to compile C as C++."""
 IS_CPLUSPLUS = "is C++ here"
 """Error message of a header that has to be compiled as C++."""
+_ENDLESS_LOOP = re.compile(r"\b(for\s*\(\s*;\s*;\s*\)|while\s*\(\s*(?:1|true)\s*\))\s*(?:;|\{\s*\})")
 ENCODING = {"encoding": "utf-8", "errors": "surrogateescape"}
 """Encoding in which sources are read and written: those of other encodings keep their bytes."""
 
@@ -168,7 +169,8 @@ def make_recipe(
         flags += ["-idirafter", str(folder)]
     if sketches:
         sketch = folder / f"{sketches[0].stem}.ino.cpp"
-        sketch.write_text(translate_sketch({source: texts[source] for source in sketches}), **ENCODING)
+        translated = translate_sketch({source: texts[source] for source in sketches})
+        sketch.write_text(_ENDLESS_LOOP.sub(_let_time_pass, translated), **ENCODING)
         files.insert(0, sketch)
         flags.append(f"-I{sketches[0].parent}")
     text = "\n".join(texts.values())
@@ -187,6 +189,8 @@ def make_recipe(
     if not platform.has_cplusplus_headers:
         return _split_languages(files, flags)
     is_like_c = [file.suffix == ".c" and needs_cplusplus(file, flags) for file in files]
+    own_folders = dict.fromkeys(file.parent for file, is_wrapped in zip(files, is_like_c, strict=True) if is_wrapped)
+    flags += [text for parent in own_folders for text in ("-iquote", str(parent))]
     files = [
         _include_c(file, folder / f"{k}-{file.name}{WRAPPER}") if is_like_c[k] else file for k, file in enumerate(files)
     ]
@@ -221,9 +225,22 @@ def remove_wrappers(message: str) -> str:
 
 
 def _include_c(source: Path, wrapper: Path) -> Path:
-    """Write a file in C++ that is a source in C: other sources in C find its functions under their own names."""
-    wrapper.write_text(f'extern "C" {{\n#include "{source.resolve()}"\n}}\n', **ENCODING)
+    """Write a file in C++ that is a source in C: other sources in C find its functions under their own names.
+
+    Endless loops with nothing in them, at the end of many programs for microcontrollers, let time pass there.
+    """
+    text = source.read_text(**ENCODING)
+    waiting = _ENDLESS_LOOP.sub(_let_time_pass, text)
+    content = f'#include "{source.resolve()}"' if waiting == text else f'#line 1 "{source.resolve()}"\n{waiting}'
+    wrapper.write_text(f'extern "C" {{\n{content}\n}}\n', **ENCODING)
     return wrapper
+
+
+def _let_time_pass(match: re.Match[str]) -> str:
+    """Return an endless loop that waits for interrupts, in as many lines, unless it is the end of a do loop."""
+    if match.string[: match.start()].rstrip().endswith("}") and match[1].startswith("while"):
+        return match[0]
+    return f"{match[1]} PULSESTAGE_IDLE();" + "\n" * match[0][len(match[1]) :].count("\n")
 
 
 def suggest_platform(platform: Platform | None, message: str) -> str:

@@ -19,6 +19,8 @@ extern "C++" { /* also where a program in C is included */
 #include <avr/bits_.h>
 
 #define _BV(bit) (1 << (bit))
+/* in an endless loop with nothing in it */
+#define PULSESTAGE_IDLE() (ps_delay_us(100), pulsestage::interrupt_line().look())
 #define bit_is_set(sfr, bit) ((sfr) & _BV(bit))
 #define bit_is_clear(sfr, bit) (!((sfr) & _BV(bit)))
 #define loop_until_bit_is_set(sfr, bit) do { } while (bit_is_clear(sfr, bit))
