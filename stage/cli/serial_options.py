@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from stage.cli.command_interface import report_written_file, warn
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.files import check_writable, write_atomically
 
 ENDLESS_S = 999_999_999.0
@@ -28,6 +28,10 @@ def add_serial_options(p: argparse.ArgumentParser) -> None:
         "--serial-script", metavar="FILE",
         help="commands that play the other end in simulated time: send, expect, wait, at, timeout; the run ends with the script, "
         "unless --for says how long it lasts",
+    )  # fmt: skip
+    g.add_argument(
+        "--serial-line", metavar="NAME", default="Serial",
+        help="serial line that --serial or --serial-script is the other end of: Serial1, SoftwareSerial ... (default: Serial)",
     )  # fmt: skip
     g.add_argument(
         "--serial-log", metavar="FILE",
@@ -82,10 +86,20 @@ def choose_timeout(args: argparse.Namespace) -> float:
     return ENDLESS_S if is_endless(args) else args.timeout
 
 
+def _get_port(args: argparse.Namespace, host: Any) -> Any:
+    """Return the other end of the serial line that --serial-line names. Raises ArgumentError."""
+    from stage.board.pin_assignment import SERIAL_LINES
+
+    if args.serial_line not in SERIAL_LINES:
+        raise unknown_name_error("serial line", args.serial_line, SERIAL_LINES)
+    number = SERIAL_LINES[args.serial_line]
+    return host.get_serial_port(number) if number else host.serial
+
+
 def prepare_host(args: argparse.Namespace, host: Any, end: Any) -> None:
     """Connect the other end of the serial line to a host, and give the host its pace."""
     if end is not None:
-        host.serial.connect(end)
+        _get_port(args, host).connect(end)
     if args.realtime and not args.panel:  # the panel keeps its own
         from stage.board.pacing import RealTimePace
 
@@ -127,7 +141,7 @@ def run_host(args: argparse.Namespace, host: Any, end: Any, run: Callable[[float
             f"{args.serial_script} ends with send, so the run has ended when the firmware had received it. Add expect or wait "
             "to see what the firmware then does.",
         )
-    host.serial.disconnect()
+    _get_port(args, host).disconnect()
     rest = 0.0 if args.seconds is None else limit - (host.board.stage.now - begin) * 1e-9
     return run(rest) if rest > 0 else None
 
@@ -138,17 +152,19 @@ def write_serial_log(args: argparse.Namespace, host: Any) -> None:
         return
     from stage.board.serial_script import format_script
 
-    text = format_script(host.serial.arrivals, host.board.stage.now - host.serial.connected_at)
+    port = _get_port(args, host)
+    text = format_script(port.arrivals, host.board.stage.now - port.connected_at)
     with write_atomically(args.serial_log, args.force) as part:
         part.write_text(text, encoding="utf-8")
-    report_written_file(args, args.serial_log, f"{host.serial.written:,} bytes that came in over the serial line")
+    report_written_file(args, args.serial_log, f"{port.written:,} bytes that came in over the serial line")
 
 
 def collect_serial_facts(args: argparse.Namespace, host: Any) -> dict[str, Any]:
     """Return the facts of the serial line and the pace for --json."""
     facts: dict[str, Any] = {}
     if args.serial is not None or args.serial_script is not None:
-        facts["serial"] = {"received": host.serial.received, "sent": host.serial.written}
+        port = _get_port(args, host)
+        facts["serial"] = {"received": port.received, "sent": port.written}
     if args.realtime and host.pacing is not None:
         facts["realtime"] = {"largest_lag_s": host.pacing.largest_lag_s, "final_lag_s": host.pacing.lag_s}
     return facts

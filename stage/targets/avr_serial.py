@@ -10,18 +10,20 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus.host_record import HOST, LOG, READ_SERIAL, SEND_SERIAL, TAKE
-from stage.board.bus.serial_core import LINE, SECOND
+from stage.board.bus.serial_core import LINE, LINES, SECOND
 from stage.native import array_at, declare_address_call, exported, greatest, hot, record
 from stage.sim.compiled_stage_access import INTEGER
 from stage.targets.avr_clock_and_pins import AVR, get_cycle_count
 from stage.targets.processor_clock_and_bus_cycles import advance_board, request
 
 QUEUE = 64
+SLOW_LOOKS = 20
+"""Times that a line without another end is looked at less often."""
 DEPTH = 64
 """Bytes that a receiver holds, as simavr's does; that of the chip holds three. With three, programs would lose bytes that a chip
 does not lose, since simavr's transmitter has no buffer beside its shift register and is slower."""
 UART = record(
-    [(name, "i8") for name in "avr address text room length connected input register_timer deliver".split()]
+    [(name, "i8") for name in "avr address text room length connected line input register_timer deliver".split()]
     + [
         (name, "i8")
         for name in "byte_cycles_at rxen u2x usbs ucsz ucsz2 ubrrl ubrrh upm idle receiving done queued first".split()
@@ -31,7 +33,7 @@ UART = record(
 )
 """avr, address       its AVR, and the address of this record
     text, room, length  the text since its last line end; the size of the buffer, the bytes in it
-    connected          whether it is the board's serial line
+    connected, line    whether it is a serial line of the board; its number there
     input              simavr's IRQ that a received byte raises
     register_timer, deliver   addresses of avr_cycle_timer_register and of `deliver_sent_byte`
     byte_cycles_at     where simavr keeps the cycles of a character
@@ -70,23 +72,24 @@ def _count_character_cycles(cpu, uart):
 
 
 @hot
-def _get_serial_line(cpu):
-    """Return the board's serial line."""
-    return array_at(array_at(cpu.host, 1, HOST)[0].serial, 1, LINE)[0]
+def _get_serial_line(cpu, uart):
+    """Return the board's serial line of a UART."""
+    return array_at(array_at(cpu.host, 1, HOST)[0].serial, LINES, LINE)[uart.line]
 
 
 @exported(None, "i8", "i4", UART)
 def handle_sent_byte(_irq, value, uart):
     """Add a byte that the program sends to the log, and begin to send it to the board. simavr calls this."""
     cpu = array_at(uart.avr, 1, AVR)[0]
-    _log_byte(cpu, uart, value)
+    if uart.line == 0 or not _get_serial_line(cpu, uart).is_open:
+        _log_byte(cpu, uart, value)
     if uart.byte_cycles_at == 0:
         return
     duration = _count_character_cycles(cpu, uart)
     array_at(uart.byte_cycles_at, 1, INTEGER)[0] = duration  # simavr counts a parity bit that is not there
     if uart.connected and uart.queued < QUEUE:
         now = get_cycle_count(cpu)
-        _get_serial_line(cpu).sent_byte_ns = duration * SECOND // cpu.hz
+        _get_serial_line(cpu, uart).sent_byte_ns = duration * SECOND // cpu.hz
         uart.done = greatest(uart.done, now) + duration
         place = (uart.first + uart.queued) % QUEUE
         uart.queue[place], uart.ends[place] = value, uart.done
@@ -127,7 +130,7 @@ def _send_oldest_byte(cpu, uart):
     """Pass the oldest byte of the queue to the board."""
     byte = uart.queue[uart.first]
     uart.first, uart.queued = (uart.first + 1) % QUEUE, uart.queued - 1
-    request(cpu, SEND_SERIAL, byte, 0)
+    request(cpu, SEND_SERIAL, byte, uart.line)
 
 
 @exported(None, UART)
@@ -182,15 +185,15 @@ def receive_byte(_avr, when, uart):
         The cycle at which simavr calls this function next.
     """
     cpu = array_at(uart.avr, 1, AVR)[0]
-    line = _get_serial_line(cpu)
+    line = _get_serial_line(cpu, uart)
     if line.fed <= line.removed:
         uart.receiving = 0
-        return when + uart.idle
+        return when + (uart.idle if line.is_open else SLOW_LOOKS * uart.idle)
     is_on = _read_bits(cpu, uart.rxen)
     if not is_on:
         uart.presented = uart.waiting = 0  # simavr has cleared its buffer, too
     elif uart.receiving:
         advance_board(cpu, when)
-        _store_byte(cpu, uart, request(cpu, READ_SERIAL, TAKE, 0))
+        _store_byte(cpu, uart, request(cpu, READ_SERIAL, TAKE, uart.line))
     uart.receiving = 1 if is_on and line.fed > line.removed else 0
     return when + (_count_character_cycles(cpu, uart) if uart.receiving else uart.idle)

@@ -82,10 +82,10 @@ class AvrUart:
         avr: A LoadedAvr after its reset.
         irqs: Address of the UART's simavr IRQs.
         board: The board.
-        connected: Whether this is the board's serial line; False: its bytes only go to the log.
+        line: Number of the board's serial line that it is.
     """
 
-    def __init__(self, name: str, avr: Any, irqs: int, board: Board, connected: bool):
+    def __init__(self, name: str, avr: Any, irqs: int, board: Board, line: int):
         self._avr, record = avr, avr.record
         self._text = ctypes.create_string_buffer(LOG_LINE_SIZE)
         self._row = np.zeros(1, avr_serial.UART)
@@ -99,11 +99,11 @@ class AvrUart:
         u.deliver = ctypes.cast(self._deliver, ctypes.c_void_p).value
         layout = find_uart_layout(irqs, int(record.avr), name, int(record.hz))
         if layout is not None:
-            u.connected, u.byte_cycles_at = connected, layout.byte_cycles_at
+            u.connected, u.line, u.byte_cycles_at = 1, line, layout.byte_cycles_at
             for key, word in layout.bits.items():
                 u[key] = word
         if u.connected:
-            board.serial.record["is_wired"] = 1
+            board.serial_lines.lines[line].record["is_wired"] = 1
             self._warning = ctypes.create_string_buffer(OVERRUN)
             u.warning = ctypes.addressof(self._warning)
             self._read_handler = avr_serial.handle_read_byte.pointer

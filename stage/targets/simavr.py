@@ -374,13 +374,13 @@ class LoadedAvr:
         )
 
     def _connect_uarts_to_log_and_board(self) -> None:
-        """Connect the serial lines of the program to the log, and the first of them to the board."""
+        """Connect the serial lines of the program to the log and to the board."""
         self._uarts: list[AvrUart] = []
         for name in avr_uart.NAMES:
             irqs = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_ioctl_request("uar" + name), 0)
             if irqs:
                 self._call_library("avr_ioctl", encode_ioctl_request("uas" + name), ctypes.byref(ctypes.c_uint32(0)))
-                self._uarts.append(AvrUart(name, self, int(irqs), self._board, connected=not self._uarts))
+                self._uarts.append(AvrUart(name, self, int(irqs), self._board, len(self._uarts)))
 
     def schedule_call(self, cycles: int, function: Any, address: int) -> None:
         """Let simavr call a compiled function after a number of cycles.

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stage.board.board import Board
+from stage.board.bus.serial_core import LINES
 from stage.board.host import Host
 from stage.board.memory_mapped_ports import Window, parse_windows
 from stage.board.pin_assignment import PinLine, parse_wiring
@@ -54,6 +55,8 @@ class TargetHost(Host):
         NoEmulatorError: The emulator is not installed.
         LibraryError, FileError: The file is no program for this processor.
     """
+
+    SERIAL_LINES = LINES
 
     def __init__(  # noqa: PLR0913  each is one property of the processor or of its wiring
         self,
