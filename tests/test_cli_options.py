@@ -386,7 +386,8 @@ def test_a_firmware_that_loses_more_steps_than_allowed_ends_with_1(monkeypatch, 
         wiring_problems=(),
         wiring_findings=(),
     )
-    stage = SimpleNamespace(axes={"x": SimpleNamespace(name="x", lost_steps=lost)})
+    chip = SimpleNamespace(explain_missing_current=lambda axis: "")
+    stage = SimpleNamespace(axes={"x": SimpleNamespace(name="x", lost_steps=lost, chip=chip, chip_axis=0)})
     monkeypatch.setattr("stage.cli.stage_setup.make_stage", lambda args: stage)
     monkeypatch.setattr("stage.cli.run.print_report", lambda *_: None)
     monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))

@@ -159,10 +159,9 @@ def _run_with_serial_end(args: argparse.Namespace, flags: tuple[str, ...], end: 
     terminated = threading.Event()
     with show_panel(args, board.stage, Path(args.firmware[0]).name) as session:
         code = _run_firmware(args, board, host, session, end, terminated)
-        lost = {name: abs(axis.lost_steps) for name, axis in board.stage.axes.items()}
-        losing = [name for name, count in lost.items() if count > allowed.get(name, 0)]
-        for name in losing:
-            print(_describe_loss(name, lost[name], allowed.get(name)))
+        losing = {name: axis for name, axis in board.stage.axes.items() if abs(axis.lost_steps) > allowed.get(name, 0)}
+        for name, axis in losing.items():
+            print(_describe_loss(name, axis, allowed.get(name)))
         code = code or int(bool(losing))
         if session is not None and not terminated.is_set():
             keep_panel(session)
@@ -235,14 +234,17 @@ def _parse_allowed_losses(items: Sequence[str], stage: Any) -> dict[str, int]:
     return allowed
 
 
-def _describe_loss(axis: str, count: int, limit: int | None) -> str:
+def _describe_loss(name: str, axis: Any, limit: int | None) -> str:
     """Return a sentence about the full steps that an axis has lost, more than the limit of --allow-lost-steps."""
-    text = f"{axis} has lost {count:,} full step{'s' * (count > 1)}"
+    count = abs(axis.lost_steps)
+    text = f"{name} has lost {count:,} full step{'s' * (count > 1)}"
     if limit is not None:
         return f"{text}, and --allow-lost-steps allows {limit:,}: exit code 1."
+    if axis.chip.explain_missing_current(axis.chip_axis):
+        return f"{text}: exit code 1."
     return (
         f"{text}: exit code 1. If it runs against a stop on purpose, as in homing without a switch, --allow-lost-steps "
-        f"{axis}={count} allows them."
+        f"{name}={count} allows them."
     )
 
 
@@ -413,7 +415,7 @@ def _print_axes(stage: Any) -> None:
         unit_of_axis = POSITION_UNITS[axis.unit]
         places, lost = (axis.position, axis.commanded), format_step_count(axis.lost_steps, axis.lost_pulses)
         position, commanded = (unit_of_axis.format(q) if mixed else f"{q * unit_of_axis.factor:.4f}" for q in places)
-        print(f"{axis.name:6}{position:>18}{commanded:>19}{lost:>6}  {on}".rstrip())
+        print(f"{axis.name:6}{position:>18}{commanded:>19} {lost:>5}  {on}".rstrip())
 
 
 def _print_diagnostics(name: str, chip: Any) -> None:
