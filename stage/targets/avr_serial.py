@@ -17,8 +17,8 @@ from stage.targets.avr_clock_and_pins import AVR, get_cycle_count
 from stage.targets.processor_clock_and_bus_cycles import advance_board, request
 
 QUEUE = 64
-SLOW_LOOKS = 20
-"""Times that a line without another end is looked at less often."""
+IDLE_FACTOR = 20
+"""Ratio of the times between two looks at a line without another end and at one that has it."""
 DEPTH = 64
 """Bytes that a receiver holds, as simavr's does; that of the chip holds three. With three, programs would lose bytes that a chip
 does not lose, since simavr's transmitter has no buffer beside its shift register and is slower."""
@@ -188,7 +188,7 @@ def receive_byte(_avr, when, uart):
     line = _get_serial_line(cpu, uart)
     if line.fed <= line.removed:
         uart.receiving = 0
-        return when + (uart.idle if line.is_open else SLOW_LOOKS * uart.idle)
+        return when + (uart.idle if line.is_open else IDLE_FACTOR * uart.idle)
     is_on = _read_bits(cpu, uart.rxen)
     if not is_on:
         uart.presented = uart.waiting = 0  # simavr has cleared its buffer, too

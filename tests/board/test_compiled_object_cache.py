@@ -61,7 +61,7 @@ def test_what_includes_a_changed_header_is_compiled_again(project):
     assert project.build() == ["sketch.ino.cpp"]
 
 
-def test_a_new_header_that_is_found_before_another_one_counts(project):
+def test_a_new_header_in_front_of_another_one_counts(project):
     project.build()
     (project.source.parent / "results.txt").write_text("")
     assert project.build() == [], "no source includes it"
