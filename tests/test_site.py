@@ -57,3 +57,12 @@ def test_every_picture_of_the_gallery_names_its_command(site):
     assert gallery.count("[![") == gallery.count("## ")
     for entry in gallery.split("\n## ")[1:]:
         assert re.search(r"`(stage|python|make) [^`]+`", entry), entry
+
+
+def test_titles_of_the_gallery_are_phrases_that_differ(site):
+    """Not names of files: "fault bus voltage", "model xy mast"."""
+    titles = re.findall(r"^## (.*)$", (site / "pages" / "gallery.md").read_text(), re.M)
+    assert len(set(titles)) == len(titles)
+    assert all(title[0].isupper() and "_" not in title.removeprefix("The model ").partition(" ")[2] for title in titles)
+    stems = {path.stem.replace("_", " ") for path in (ROOT / "docs" / "pictures").rglob("*.png")}
+    assert not {title for title in titles if title in stems}, "a title is no name of a file"

@@ -64,6 +64,17 @@ def find_command(root: Path, file: Path) -> str:
     return ""
 
 
+def make_title(says: str) -> str:
+    """Return the title of a picture: its alternative text up to the first colon or semicolon, with a capital letter."""
+    title = re.split("[:;]", says)[0].strip()
+    return title[:1].upper() + title[1:]
+
+
+def read_heading(page: Path) -> str:
+    """Return the first heading of a page."""
+    return next(line.removeprefix("# ").strip() for line in page.read_text().splitlines() if line.startswith("# "))
+
+
 def write(root: Path, pages: Path) -> None:
     """Write gallery.md to the pages of the site.
 
@@ -75,7 +86,7 @@ def write(root: Path, pages: Path) -> None:
     for p in list_pictures(root):
         page = "index.md" if p.page.name == "README.md" else p.page.relative_to(root / "docs").as_posix()
         command = f"`{p.command}`" if p.command else ""
-        text.append(f"## {p.file.stem.replace('_', ' ')}\n")
+        text.append(f"## {make_title(p.says)}\n")
         text.append(f"[![{p.says}]({os.path.relpath(p.file, root / 'docs')})]({page})\n")
-        text.append(f"{p.says}: [{page.removesuffix('.md')}]({page}). {command}\n")
+        text.append(f"{p.says} (page [{read_heading(p.page)}]({page})). {command}\n")
     (pages / "gallery.md").write_text("\n".join(text))

@@ -63,7 +63,11 @@ class OscilloscopeView:
                 self.traces = self._build_select(
                     "traces", "traces", 96, titles, self.scope.names, self._select_traces, True
                 )
-                state = ui.element("div").classes("text-caption number col ellipsis").props("data-test=scope-state")
+                state = (
+                    ui.element("div")
+                    .classes("scope-state text-caption number col ellipsis")
+                    .props("data-test=scope-state")
+                )
                 updates.show_text(state, self._describe_state)
                 with (
                     ui.button(icon="save_alt").props("flat dense round aria-label='save the window' data-test=export"),

@@ -309,7 +309,8 @@ html { scroll-padding-top: 60px }
 .number { font-variant-numeric: tabular-nums; font-family: ui-monospace, monospace }
 @media (max-width: 1200px) { .readout { column-gap: 8px; font-size: 12px }
   .readout { grid-template-columns: max-content repeat(3, auto) minmax(0, max-content) }
-  .readout .commanded, .scope .section { display: none } .scope .no-wrap { gap: 6px } .lamp { margin-right: 6px } }
+  .readout .commanded, .scope .section { display: none } .scope .no-wrap { gap: 6px; flex-wrap: wrap }
+  .scope .scope-state { order: 1; flex: 0 0 100% } .lamp { margin-right: 6px } }
 @media (max-width: 900px) {
   html { scroll-padding-top: 0; scroll-padding-bottom: 60px }
   .q-header { position: absolute; flex-wrap: wrap }
@@ -319,7 +320,7 @@ html { scroll-padding-top: 60px }
   .scene-box { flex: none; height: 250px }
   .stops { position: fixed; left: 0; right: 0; bottom: 0; padding: 8px 12px; background: #0006; backdrop-filter: blur(6px) }
   .stops .q-btn { flex: 1; min-height: 40px }
-  .panel .q-tab { padding: 0 8px } .scope .no-wrap { flex-wrap: wrap }
+  .panel .q-tab { padding: 0 8px }
 }
 @media (max-width: 600px) { .readout { grid-template-columns: repeat(4, auto) } .readout .section.switches { display: none }
   .readout .switches { grid-column: 1 / -1 } .q-header > :nth-child(1) { display: none } }

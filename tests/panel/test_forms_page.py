@@ -133,6 +133,7 @@ def test_a_double_click_is_one_move(bench):
     with bench.slow_motion():
         ActionChains(browser.driver).double_click(browser.scroll_to("go-move")).perform()
         browser.until(lambda: not browser.find("go-move").is_enabled())
+        browser.until(lambda: browser.text("busy-move"))  # it says why
     browser.until(lambda: "done" in browser.text("report"))
     browser.until(lambda: browser.find("go-move").is_enabled())
     assert bench.x("commanded") - before == pytest.approx(3 * MM, abs=1e-6)

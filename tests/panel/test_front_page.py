@@ -110,6 +110,12 @@ def test_a_wrong_byte_is_the_chips_diagnostic(bench):
     console(bench, "R7 <- 1")
     browser.until(lambda: "diagnostics (" in browser.text("diagnostics"))
     browser.until(lambda: "! " in browser.text("trace"))
+    lines = browser.find("trace").find_elements("css selector", "div, span")
+    color = "return getComputedStyle(arguments[0]).color"
+    colors = {line.text[:40]: browser.driver.execute_script(color, line) for line in lines if line.text.strip()}
+    red = [text for text, value in colors.items() if value == "rgb(229, 72, 77)"]
+    assert red, "red is for mistakes"
+    assert all("! " in text for text in red), "and for them only"
     browser.click("diagnostics")
     message = bench.stage(lambda stage: stage.chips[0].diagnostics[-1].message)
     browser.until(lambda: message in browser.text("diagnosed"))

@@ -135,6 +135,19 @@ def inside(box):
     return box["top"] >= 0 and box["bottom"] <= box["height"]
 
 
+@pytest.mark.parametrize(("width", "height"), [(1400, 900), (1024, 768), (390, 844)])
+def test_the_state_of_the_oscilloscope_is_readable_in_each_size(browser, width, height):
+    """1024 pixels cut it to "ru…"."""
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        browser.until(lambda: "running" in browser.text("scope-state"))
+        cut = "return arguments[0].scrollWidth - arguments[0].clientWidth"
+        browser.until(lambda: browser.driver.execute_script(cut, browser.find("scope-state")) <= 0)
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_stop_of_motion_and_freeze_of_the_picture_differ_in_words_colors_and_places(browser):
     color = "return getComputedStyle(arguments[0]).backgroundColor + getComputedStyle(arguments[0]).color"
     stop, freeze = browser.find("stop"), browser.find("run")
