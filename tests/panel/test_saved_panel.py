@@ -424,7 +424,7 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
     k = len(stage.chips) - 1
     chip = stage.chips[k]
     place = next(
-        p for p in saved_panel.layouts.assign_ports(dict(enumerate(stage.chips)), None, None, None) if p.index == k
+        p for p in saved_panel.bus_layouts.assign_ports(dict(enumerate(stage.chips)), None, None, None) if p.index == k
     )
     kinds = [kind for kind, _ in place.layout.ports]
     reached = range(chip.ADDRESSES) if saved_panel.LATCH in kinds else [
