@@ -7,7 +7,8 @@
     print(action.report)
 
 The blocking procedures are the same code: `move` runs in the caller's thread what `begin_move` runs as an action. An axis has one
-action at a time; `begin_stop` replaces it.
+action at a time; `begin_stop` replaces it. An action keeps its stage, and a thread, until it has ended: cancel actions of a stage
+that nobody uses any more.
 """
 
 from __future__ import annotations

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from stage import firmware
 from stage.errors import ArgumentError, StageError
 from stage.firmware.axis import get_forward_direction
-from stage.firmware.axis_actions import AxisAction, begin_action
+from stage.firmware.axis_actions import AxisAction, begin_action, cancel_action
 from stage.firmware.driver import ImmediateOperations, Speeds, get_driver
 from stage.panel.real_time_clock import FREE
 from stage.panel.session import Session
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
-from stage.tune.formula import Load
+from stage.tune import compute_top_speed
 
 USER_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
 """Unit of a joint -> unit of the records, and its number in a joint unit."""
@@ -129,22 +127,33 @@ class ControlledAxis:
         self.set_pulses(self.to_pulses(dial))
         self._encoder_offset = dial - self.axis.position * self._factor
 
-    def set_enabled(self, enabled: bool) -> None:
-        """Close or open the position loop of a servo; an axis without one stays as it is."""
+    def begin_enable(self, enabled: bool) -> AxisAction | None:
+        """Begin to close the position loop of a servo, or open it at once; an axis without one stays as it is."""
         if not self.axis.chip.SERVO:
-            return
+            return None
         self.is_enabled = enabled
+        cancel_action(self.axis)
         if enabled:
-            self._driver.prepare()
-        else:
-            self._driver.write_stop(ImmediateOperations(self.axis))
+            return begin_action(self.axis, "enable", self._driver.prepare)
+        self._driver.write_stop(ImmediateOperations(self.axis))
+        return None
 
     def to_pulses(self, dial: float) -> int:
         """Convert a dial position to pulses of the counter."""
         return get_forward_direction(self.axis) * round(dial / self.step)
 
     def convert(self, profile: Profile) -> Speeds:
-        """Convert a profile to the speeds of the axis' driver. Raises ArgumentError for a speed or time that is not positive."""
+        """Convert a profile to the speeds of the axis' driver, before a motion.
+
+        Args:
+            profile: Speeds in dial units.
+
+        Raises:
+            ArgumentError: A speed or time is not positive.
+            StageError: The position loop is open.
+        """
+        if not self.is_enabled:
+            raise StageError(f"the position loop of axis {self.axis.name} is open: close it first (CNEN).")
         if not (0 < profile.speed < math.inf and 0 < profile.accel < math.inf and 0 <= profile.base < math.inf):
             raise ArgumentError(
                 f"speed {profile.speed:g} {self.unit}/s, base speed {profile.base:g} {self.unit}/s and {profile.accel:g} s of "
@@ -177,10 +186,10 @@ class ControlledAxis:
         return begin_action(self.axis, "home", home)
 
     def _set_home(self, reason: str) -> None:
-        """Set the counter at home: to the trip position of the switch, or to where an index pulse or a stall is."""
+        """Set the counter at home: to the edge of the switch at which the axis is, or to where an index pulse or a stall is."""
         self.home_name = reason
-        trips = self.axis.switches.list_trip_positions()
-        place = trips.get(SWITCH_OF_HOME.get(reason, ""), self.axis.position)
+        edges = self.axis.switches.list_edge_positions().get(SWITCH_OF_HOME.get(reason, ""), (self.axis.position,))
+        place = min(edges, key=lambda edge: abs(edge - self.axis.position))
         self.set_pulses(self.to_pulses(place * self._factor + self._encoder_offset))
 
     def begin_jog(self, direction: int, profile: Profile) -> AxisAction:
@@ -212,8 +221,9 @@ class MotionController:
         self._session.call_after_slices(self._update)
 
     def close(self) -> None:
-        """End the session. Actions under way end where they are."""
+        """End the session, and all actions under way where they are."""
         self._session.close()
+        self._session.stage.loop.procedures.cancel_all()
 
     def call(self, order: Callable[[Stage], Any]) -> Future[Any]:
         """Have the worker call a short function of the stage; return the future of its result."""
@@ -272,12 +282,3 @@ class MotionController:
         if now - self._published >= 0.95 * self._period:
             self._published = now
             self._publish({name: axis.read(trouble) for name, axis in self.axes.items()})
-
-
-def compute_top_speed(axis: Axis) -> float:
-    """Compute the speed that an axis reaches at most, m/s (rad/s): of its chip, and of its motor against friction and weight."""
-    load, top = Load.from_axis(axis), get_driver(axis).max_rate * axis.meters_per_pulse
-    speeds = np.linspace(0.0, min(top, 1_200.0 / load.gear), 2_000)[1:]
-    thrust = load.compute_max_thrust(speeds)
-    possible = speeds[thrust > load.friction + load.damping * speeds + load.weight]
-    return float(possible[-1]) if len(possible) else float(speeds[0])

@@ -113,6 +113,7 @@ class MotorRecord(PVGroup):
         self._tasks: set[asyncio.Task[None]] = set()
         self._idle = asyncio.Event()
         self._idle.set()
+        self._publishing = asyncio.Lock()
         instance = self.motor.field_inst
         self._fields = {spec.pvspec.name: getattr(instance, name) for name, spec in StageMotorFields._pvs_.items()}
         self._fields["VAL"] = self.motor
@@ -204,9 +205,12 @@ class MotorRecord(PVGroup):
         await self.publish(self._reading)
 
     async def publish(self, reading: Reading) -> None:
-        """Publish what an axis does, unless a newer reading has been published."""
-        if reading.state.time < self._reading.state.time:
-            return
+        """Publish what an axis does, one reading after the other, unless a newer reading has been published."""
+        async with self._publishing:
+            if reading.state.time >= self._reading.state.time:
+                await self._publish_reading(reading)
+
+    async def _publish_reading(self, reading: Reading) -> None:
         if dial_change := reading.dial - self._reading.dial or reading.state.speed:
             self._direction = 1 if dial_change > 0 else -1
         self._reading = reading
@@ -721,11 +725,10 @@ class MotorRecord(PVGroup):
     async def _put_enable(self, instance: Any, value: Any) -> Any:
         enabled = value in ("Enable", 1)
         try:
-            await asyncio.wrap_future(self._controller.call(lambda stage: self._axis.set_enabled(enabled)))
+            await self._act(lambda axis: axis.begin_enable(enabled))
         except StageError as error:
             await self.refuse_request(str(error))
             raise SkipWrite from None
-        await self.publish(self._axis.read())
         return value
 
 

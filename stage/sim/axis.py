@@ -97,6 +97,10 @@ class Switches:
         """Return the position at which every switch fitted trips, m (rad on a hinge); ORG is approached from plus."""
         return {s.pin: s.touch for s in self._axis.plant.switches}
 
+    def list_edge_positions(self) -> dict[str, tuple[float, ...]]:
+        """Return the positions of all edges of every switch fitted, from minus to plus, m (rad on a hinge)."""
+        return {s.pin: tuple(edge.at for edge in s.edges) for s in self._axis.plant.switches}
+
     def __repr__(self) -> str:
         return f"Switches({', '.join(name for name, on in self.as_dict().items() if on) or 'none asserted'})"
 

@@ -26,7 +26,7 @@ import numpy as np
 from stage.drives.dynamometer import compute_closed_form, compute_natural_frequency, find_pull_in_rate
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
-from stage.firmware import Profile
+from stage.firmware import Axis, Profile
 from stage.firmware.driver import Speeds, get_driver
 from stage.support import portable_math
 
@@ -35,6 +35,7 @@ START_RATE_RATIO = 0.125  # start rate (FL) as a fraction of the pull-in rate
 MIN_RAMP_SWINGS = 4
 MIN_RAMP_S = 1e-3
 CONSTANT_RATE_RATIO = 1.05  # drive rate to start rate of a move without ramps: chips compute ramps from the difference
+SPEED_SAMPLES = 2_000
 MAX_ROTOR_SPEED_RAD_S = 1_256.637  # 12,000 rpm, above any supported motor
 
 
@@ -122,6 +123,15 @@ class Load:
         """Pull-in rate with this load, pps: f / sqrt(J / J rotor)."""
         unloaded = measure_unloaded_pull_in(self.drive)
         return unloaded / float(np.sqrt(self.inertia_at_rotor / self.drive.motor.rotor_inertia))
+
+
+def compute_top_speed(axis: Axis) -> float:
+    """Compute the highest speed of an axis, m/s (rad/s): that of its chip, or of its motor against friction and weight."""
+    load = Load.from_axis(axis)
+    top = get_driver(axis).max_rate / load.pulses_per_metre
+    speeds = np.linspace(0.0, min(top, MAX_ROTOR_SPEED_RAD_S / load.gear), SPEED_SAMPLES + 1)[1:]
+    reached = speeds[load.compute_max_thrust(speeds) > load.friction + load.damping * speeds + load.weight]
+    return float(reached[-1] if len(reached) else speeds[0])
 
 
 @cache

@@ -20,6 +20,7 @@ from stage.chips.exclusive_access import exclusive
 from stage.chips.nova.registers.mcx514_words import HOME_STATES
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
+from stage.firmware.driver import compute_poll_interval
 from stage.firmware.nova.chip_port import (
     MAP,
     POLL_INTERVAL_S,
@@ -166,10 +167,11 @@ def _poll_home_states(
                 states.append((port.axis.time - begin, state))
                 if at_limit is not None and state == HSST.extract(HSST_SEARCHES_BACK):
                     at_limit(port)
-        if ports[0].axis.time - begin > timeout:
+        passed = ports[0].axis.time - begin
+        if passed > timeout:
             stop_axes(ports)
             raise RunTimeout(
                 f"axes {', '.join(p.axis.name for p in ports)} still searched home after {timeout} s; they are stopped."
             )
-        ports[0].axis.wait(POLL_INTERVAL_S)
+        ports[0].axis.wait(compute_poll_interval(POLL_INTERVAL_S, passed))
     return [tuple(states) for states in histories]
