@@ -1,4 +1,4 @@
-"""`RecordingTools`: the last recording of a stage as columns of numbers, and as files in a folder that the user has chosen.
+"""`StageRecorderTools`: the last recording of a stage as columns of numbers, and as files in a folder that the user has chosen.
 
 In mode "truth", an agent records with the tool `record`. In host mode, the last recording contains the time, pulses and rate of the
 last move. Only the tool `save_recording` writes files, and only into the folder.
@@ -26,7 +26,7 @@ MAX_FILES = 20  # of a session
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}\.(rrd|vcd)")
 
 
-class RecordingTools:
+class StageRecorderTools:
     """Tools that record one stage.
 
     Args:

@@ -20,7 +20,7 @@ from stage.agents.budget import Budget, BudgetSpent
 from stage.agents.bus_tools import MODES, BusTools
 from stage.agents.motion_tools import MotionTools, describe_report
 from stage.agents.picture_tool import make_picture_tool
-from stage.agents.recording_tools import RecordingTools
+from stage.agents.recording_tools import StageRecorderTools
 from stage.agents.snapshot_tools import SnapshotTools
 from stage.agents.tool import Answer, Tool, ToolSet
 from stage.agents.tool_arguments import format_value
@@ -72,7 +72,7 @@ class Toolbox(ToolContext, ToolSet):
                 f"budget={format_value(budget)}: give Budget(moves=20, seconds=60.0, cycles=100_000), or None."
             )
         ToolContext.__init__(self, stage, mode, budget or Budget(), patience)
-        self.motion, self.recordings = MotionTools(self), RecordingTools(self, folder)
+        self.motion, self.recordings = MotionTools(self), StageRecorderTools(self, folder)
         tools = [*BusTools(self, self.motion).list_tools(), *self.motion.list_tools(), make_picture_tool(self)]
         tools += SnapshotTools(self).list_tools() if snapshots else []
         tools += TruthTools(self).list_tools() if mode == "truth" else []

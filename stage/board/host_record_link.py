@@ -41,7 +41,7 @@ class Link:
         request: Compiled function that executes all requests of a host: (pointer, code, a, b) -> answer.
         error: Exception from a call of compiled code, stored until `raise_error`.
         hooks: Interrupt hooks in Python, and the table of the interrupt controller.
-        windows: Windows of the running firmware.
+        windows: Memory windows of the running firmware: addresses at which it reaches ports; None if it has none.
         answering: Device in Python that is answering a bus cycle, or None.
         pause: Function with which the firmware's own thread waits while it is paused.
         abandoned: Threads of abandoned firmware.

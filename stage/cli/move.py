@@ -135,7 +135,7 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
     for carriage in (axis, *(stage.axes[name] for name in axis.tandem)):
         place_carriage(stage, carriage, "--from", args.start)
     if axis.tandem:
-        _warn_of_tandem(args, axis, axis.tandem, [f"{axis.name}={args.distance}"])
+        _warn_of_twisted_load(args, axis, axis.tandem, [f"{axis.name}={args.distance}"])
     with record_to_files(args, stage), show_simulated_time(stage):
         pulses, speeds = parse_distance(axis, args.distance), parse_speed_options(args, axis, "rates" not in args)
         overtravel = describe_overtravel(axis, pulses)
@@ -153,21 +153,23 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
     return 0 if report.ok else 1
 
 
-def _warn_of_tandem(args: argparse.Namespace, axis: Any, left: Sequence[str], items: list[str]) -> None:
+def _warn_of_twisted_load(
+    args: argparse.Namespace, axis: Any, axes_left_behind: Sequence[str], typed_moves: list[str]
+) -> None:
     """Warn that an axis moves without other axes that drive the same load.
 
     Args:
         args: Options, for `warn`.
         axis: Axis that moves.
-        left: Axes of the load that do not move as far.
-        items: Typed moves, AXIS=DISTANCE.
+        axes_left_behind: Axes of the load that do not move as far.
+        typed_moves: Moves as typed, AXIS=DISTANCE.
     """
-    distance = next(value for name, value in map(split_pair, items) if name == axis.name)
-    others = [item for item in items if split_pair(item)[0] not in left]
+    distance = next(value for name, value in map(split_pair, typed_moves) if name == axis.name)
+    others = [move for move in typed_moves if split_pair(move)[0] not in axes_left_behind]
     warn(
         args,
-        f"axis {axis.name} drives one load with {' and '.join(left)}, which stays behind: the load is twisted. "
-        f"To move all of them: {shlex.join(['stage', 'sync', *others, *(f'{name}={distance}' for name in left)])}",
+        f"axis {axis.name} drives one load with {' and '.join(axes_left_behind)}, which stays behind: the load is twisted. "
+        f"To move all of them: {shlex.join(['stage', 'sync', *others, *(f'{name}={distance}' for name in axes_left_behind)])}",
     )
 
 
@@ -190,7 +192,7 @@ def run_synchronized_move(args: argparse.Namespace) -> int:
     overtravels = [text for name, n in pulses.items() if (text := describe_overtravel(stage.axes[name], n))]
     for name in pulses:
         if left := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
-            _warn_of_tandem(args, stage.axes[name], left, args.distances)
+            _warn_of_twisted_load(args, stage.axes[name], left, args.distances)
     check_same_chip_kind({name: get_driver(stage.axes[name]) for name in pulses})
     fastest = stage.axes[max(pulses, key=lambda name: abs(pulses[name]))]
     speeds = parse_speed_options(args, fastest)

@@ -692,7 +692,7 @@ class MotorRecord(PVGroup):
             await self.set(rps, self.get(field) / self.get("UREV"))
 
     async def _put_ramp(self, instance: Any, value: float) -> float:
-        """Replace a ramp of 0 or less, as the real record does; refuse what is no number."""
+        """Return the ramp to store: one of 0 or less becomes the default, as in the real record; refuse NaN and infinity."""
         if not math.isfinite(value):
             await self.refuse_request(f"{value}: a time or acceleration is a finite number.")
             raise SkipWrite

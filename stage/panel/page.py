@@ -105,7 +105,7 @@ class Toolbar:
         gate.require_driving_rights(rewind)
         self._play = _build_icon_button("pause", "pause or resume simulated time", "play", self._toggle_pause)
         gate.require_controls(self._play)
-        step = _build_icon_button("skip_next", "one physics step", "step").on_click(lambda: session.single_step())
+        step = _build_icon_button("skip_next", "one physics step", "step").on_click(lambda: session.run_physics_steps())
         gate.require_driving_rights(step)
         select = ui.select(SPEEDS, value=find_nearest_speed(session.speed), on_change=self._set_speed)
         select.props("dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed")

@@ -68,7 +68,7 @@ class Session(StageThread):
             self._restart_clock()
         self._notify_all()
 
-    def single_step(self, n: int = 1) -> None:
+    def run_physics_steps(self, n: int = 1) -> None:
         """Pause, and let `n` physics steps pass."""
         self.paused = True
         self.do(lambda stage: self.run_unpaced(stage.step, n))

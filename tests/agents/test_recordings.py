@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stage.agents import Toolbox
-from stage.agents.recording_tools import MAX_SAMPLES, RecordingTools, thin_out
+from stage.agents.recording_tools import MAX_SAMPLES, StageRecorderTools, thin_out
 from stage.errors import ArgumentError, StageError
 
 
@@ -56,7 +56,7 @@ def test_without_a_folder_no_file_is_written(make_box):
     box = make_box(mode="truth")
     assert "save_recording" not in box.tools
     with pytest.raises(ArgumentError, match="is no folder"):
-        RecordingTools(box, "/nowhere/at/all")
+        StageRecorderTools(box, "/nowhere/at/all")
 
 
 def test_a_recording_ends_by_itself(recording, monkeypatch):

@@ -38,7 +38,7 @@ def test_time_passes_without_a_program_except_while_paused(session):
     before = session.do(lambda stage: stage.now)
     time.sleep(0.05)
     assert session.do(lambda stage: stage.now) == before
-    session.single_step(3)
+    session.run_physics_steps(3)
     assert session.do(lambda stage: stage.now) - before == pytest.approx(
         3 * session.stage.state.dt, abs=session.stage.state.dt
     )
@@ -139,7 +139,7 @@ def test_going_back_during_a_recording_is_refused():
 
 
 def test_no_step_follows_a_single_step_until_time_is_resumed(session):
-    session.single_step()
+    session.run_physics_steps()
     assert session.paused
 
 
@@ -300,7 +300,7 @@ def test_the_requested_number_of_steps_passes(session):
     for n, arguments in ((1, ()), (4, (4,))):
         session.paused = True
         at = session.do(lambda stage: stage.now)
-        session.single_step(*arguments)
+        session.run_physics_steps(*arguments)
         assert session.paused
         assert session.do(lambda stage: stage.now) == (at // dt + n) * dt
         session.paused = False

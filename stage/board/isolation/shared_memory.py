@@ -104,7 +104,7 @@ class NoteCounts(NamedTuple):
 
 
 class ParentCallRequest(NamedTuple):
-    """Request of the child that the parent calls Python: for a write to a chip, an interrupt source, or a device.
+    """Request by the child: the parent is to run Python code for a bus write, an interrupt source or a device.
 
     The answer is a tuple: result of the call, whether it succeeded, `RunOrder.machine`, `RunOrder.hooks`.
 

@@ -395,9 +395,9 @@ class Profile:
         return self.chip.MAP.check_value("R6", point)
 
     def for_distance(self, pulses: int, fh2: bool = False) -> Profile:
-        """Return an S-curve profile with the highest FH that a preset move reaches: "revised R2" (data sheet MS, 3-4).
+        """Return the profile with FH lowered to the highest rate that an S-curve move of so many pulses can reach.
 
-        Linear ramps stay unchanged, because they can end anywhere.
+        The data sheet calls this rate "revised R2" (MS, 3-4). Linear ramps stay unchanged, because they can end anywhere.
 
         Args:
             pulses: Pulses of the move.

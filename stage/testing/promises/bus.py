@@ -164,7 +164,7 @@ def check_command_cycles(trial: PromiseTrial) -> None:
                 else "a command"
             )
             raise BrokenPromise(
-                f"command_cycles({name!r}), {kind}, raises {type(error).__name__}: {error} ({_format_line(error)})"
+                f"command_cycles({name!r}), {kind}, raises {type(error).__name__}: {error} ({_format_origin(error)})"
             ) from error
         if not cycles:
             raise BrokenPromise(f"no bus cycle sends {name}")
@@ -173,8 +173,8 @@ def check_command_cycles(trial: PromiseTrial) -> None:
                 raise BrokenPromise(f"{name} is sent by ({address}, {datum}), which is not on the bus")
 
 
-def _format_line(error: Exception) -> str:
-    """Return the type and the message of an exception in one line."""
+def _format_origin(error: Exception) -> str:
+    """Return the file, the line and the function in which an exception was raised."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     return f"{where.filename}, line {where.lineno}, in {where.name}"
 

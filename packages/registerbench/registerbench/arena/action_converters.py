@@ -101,7 +101,7 @@ class MoveActionConverter(ActionConverter):
 
 
 class HomeActionConverter(ActionConverter):
-    """Converter of an origin return or the report of a fault, for the task home."""
+    """Converter of the arguments of the tool `act` to actions of the task home: an origin return, or the report of a fault."""
 
     description = (
         "an origin return with these rates, or, with report=true, the report that the machine is broken, "
