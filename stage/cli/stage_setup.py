@@ -38,7 +38,7 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
     }
 
     def make_drive(chip: Any, axis: str = "") -> Any:
-        values = {name: own.get(axis, own.get("")) for name, own in by_axis.items()}
+        values = {name: choices.get(axis, choices.get("")) for name, choices in by_axis.items()}
         if chip.SERVO:
             return values.get("motor")
         parts: Any = {"motor": values.get("motor"), "power_stage": values.get("drive")}
@@ -46,7 +46,7 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
         microsteps = int(values["microsteps"] or options.DEFAULT_MICROSTEPS)
         return Drive(microsteps=microsteps, bus_voltage=args.bus_voltage, **parts)
 
-    named = {axis for own in by_axis.values() for axis in own if axis}
+    named = {axis for choices in by_axis.values() for axis in choices if axis}
     if "=" in args.chips:
         chips: Any = {axis: find_chip_class(name) for axis, name in parse_chips(args.chips).items()}
         drives: Any = {axis: make_drive(chip, axis) for axis, chip in chips.items()}
