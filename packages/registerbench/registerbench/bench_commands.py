@@ -42,13 +42,22 @@ def add_bench_submit(commands: Any) -> None:
     p.add_argument("--task", default="few-shot", help="see `stage bench` (default: few-shot)")
     p.add_argument("--split", default="train", help="where the machines of the episodes come from (default: train)")
     p.add_argument("--track", default="host", help="what the policy sees: host, truth or tools (default: host)")
-    p.add_argument("--round", default="open", metavar="NAME", help="whose seeds are played (default: open)")
+    p.add_argument(
+        "--round", default="open", metavar="NAME",
+        help="whose seeds are played; drawn: a new word is drawn after the policy's file is read, and printed (default: open)",
+    )  # fmt: skip
     p.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting that players may choose")
     p.add_argument("--name", help="of the player (default: POLICY)")
     p.add_argument(
         "--run", dest="run_number", type=int, default=0, metavar="N", help="number of the training run (default: 0)"
     )
     p.add_argument("--notes", default="", help="a line that goes with it")
+    p.add_argument(
+        "--training",
+        default="",
+        metavar="COMMAND",
+        help="trains run {run} and writes its entry to {out}; checked by bench-table",
+    )
     p.add_argument(
         "--cost", action="append", default=[], metavar="NAME=NUMBER", help="what it took: moves=, processor_s=, tokens="
     )
@@ -78,13 +87,21 @@ def add_bench_table(commands: Any) -> None:
     """Add `stage bench-table`."""
     p = add_command(
         commands, "bench-table", print_tables, "compare entries of the benchmark, as tables in Markdown",
-        "Print a table for each task, split, track and round: interquartile mean and mean of the return with their intervals, and "
-        "who beats whom. Entries of one player are its runs, and have all test episodes. Nothing is replayed.",
+        "Print a table for each task, split, track and round: interquartile mean (IQM) and mean of the return with intervals, "
+        "and who beats whom on the same machines. Entries of one player are its runs, and have all test episodes. Each entry is "
+        "replayed; what is not confirmed stands below the rest and beats nobody. Runs with the same actions count once.",
         ("stage bench-table formula.bench mine.bench", "who beats whom"),
         ("stage bench-table *.bench --long", "regret, damage and steps, too"),
+        ("stage bench-table *.bench --spot-check 2", "train two runs of each learner again, by the commands in the entries"),
     )  # fmt: skip
     p.add_argument("files", nargs="+", metavar="FILE", help="an entry, or a zip archive of entries")
     p.add_argument("--long", action="store_true", help="with regret, steps lost, end limits and steps of the episodes")
+    p.add_argument("--no-replay", action="store_true", help="replay nothing: every row is marked so")
+    p.add_argument(
+        "--spot-check", type=int, default=0, metavar="N",
+        help="RUN the training commands of N runs of each learner, drawn at random, and compare actions; they are programs of the "
+        "entries' authors (default: 0)",
+    )  # fmt: skip
 
 
 def print_tasks(args: argparse.Namespace) -> int:
@@ -137,16 +154,20 @@ def submit_entry(args: argparse.Namespace) -> int:
         Exit code 0.
     """
     import registerbench
-    from registerbench.benchmark_tasks import find_card
+    from registerbench.benchmark_tasks import DRAWN_ROUND, draw_round, find_card
     from stage.support.files import ENTRY, check_ending, check_writable
 
     card = find_card(args.task)
     check_ending(args.output, *ENTRY)
     check_writable(args.output, args.force, overwrite_hint="give --force")
     progress = _EpisodeCounter("played")
+    round_ = draw_round(args.policy) if args.round == DRAWN_ROUND else args.round
+    if round_ != args.round:
+        print(f"round {round_}: others play it with --round {round_}")
     entry = registerbench.play(
-        args.policy, args.task, args.split, track=args.track, round_=args.round, settings=_parse_settings(args.set, card.choices),
-        name=args.name, run=args.run_number, notes=args.notes, cost=_parse_costs(args.cost), episodes=args.episodes,
+        args.policy, args.task, args.split, track=args.track, round_=round_, settings=_parse_settings(args.set, card.choices),
+        name=args.name, run=args.run_number, notes=args.notes, cost=_parse_costs(args.cost), training=args.training,
+        episodes=args.episodes,
         report_progress=progress,
     )  # fmt: skip
     progress.end()
@@ -181,12 +202,15 @@ def verify_entry(args: argparse.Namespace) -> int:
 
 def print_tables(args: argparse.Namespace) -> int:
     """Print the tables of entries, or their rows as JSON with --json."""
-    from registerbench import read_entries, score_statistics
+    from registerbench import entry_checks, read_entries, score_statistics
 
     entries = [entry for path in args.files for entry in read_entries(path).values()]
-    if args.json:
-        add_facts(args, score_statistics.compute_rows(entries))
-    print(score_statistics.format_tables(entries, args.long))
+    is_shown = sys.stderr.isatty() or args.spot_check > 0
+    report = (lambda text: print(f"stage: {text}", file=sys.stderr)) if is_shown else (lambda text: None)
+    checks = entry_checks.check_entries(entries, not args.no_replay, args.spot_check, report)
+    rows = score_statistics.compute_rows(entries, checks)
+    add_facts(args, [row.json() for row in rows])
+    print(score_statistics.format_rows(rows, args.long))
     return 0
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -18,6 +20,7 @@ TRACKS = {
     "truth": "the policy also sees the hidden context, which gives an upper bound",
     "tools": "a language model sees the same as on track host, acts by tools, and its tokens are counted",
 }
+DRAWN_ROUND = "drawn"  # stands for a round whose word is drawn when the policy is frozen
 OPEN_ROUND = "open"  # the round whose seeds are public: docs/benchmark.md lists them
 FIRST_TEST_SEED, SEED_LIMIT = 1_000_000, 1 << 31  # learners may use all seeds below the first of them
 
@@ -227,3 +230,15 @@ def draw_test_seeds(games: str, round_: str, count: int) -> list[int]:
     texts = [f"{games} {round_} {k}".encode() for k in range(count)]
     hashes = [int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little") for text in texts]
     return [FIRST_TEST_SEED + count + number % (SEED_LIMIT - FIRST_TEST_SEED - count) for number in hashes]
+
+
+def draw_round(policy: str) -> str:
+    """Draw the word of a new round after a policy was frozen: a digest of its file, and a random number that nobody can choose.
+
+    Args:
+        policy: "module:name", whose module lies in the current folder or is installed, or the path of a file.
+    """
+    module = policy.partition(":")[0]
+    paths = [Path(policy), Path(*module.split(".")).with_suffix(".py")]
+    content = next((path.read_bytes() for path in paths if path.is_file()), policy.encode())
+    return f"{hashlib.blake2b(content, digest_size=4).hexdigest()}-{secrets.token_hex(4)}"

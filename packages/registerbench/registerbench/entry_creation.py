@@ -100,7 +100,7 @@ class EpisodeSequence:
             self.scores.append(score_episode(np.array(self._rewards[self._first_step :]), info))
             self.finished += 1
 
-    def build_entry(self, player: str, run: int, notes: str, cost: Mapping[str, float]) -> Entry:
+    def build_entry(self, player: str, run: int, notes: str, cost: Mapping[str, float], training: str = "") -> Entry:
         """Build the entry that holds the finished episodes.
 
         Args:
@@ -108,6 +108,7 @@ class EpisodeSequence:
             run: Number of the training run.
             notes: Text to store in the entry.
             cost: What the player spent, by name: moves, processor_s, tokens.
+            training: Command that trains the run and writes its entry again, or "".
         """
         space = self.env.action_space
         kind = np.dtype(space.dtype).newbyteorder("<").str
@@ -116,7 +117,7 @@ class EpisodeSequence:
         return Entry(
             self.card.name, self.split, self.track, self.round_, self.settings, player, run, notes, spent, tuple(self.seeds),
             np.array(self._steps, np.int64), actions, np.array(self._rewards), np.array(self._observation_digests, np.uint64),
-            stack_scores(self.scores), list_versions(), describe_environment(self.env),
+            stack_scores(self.scores), list_versions(), describe_environment(self.env), training,
         )  # fmt: skip
 
     def close(self) -> None:
@@ -150,6 +151,7 @@ def play(
     run: int = 0,
     notes: str = "",
     cost: Mapping[str, float] | None = None,
+    training: str = "",
     episodes: int | None = None,
     report_progress: Callable[[int, int], None] | None = None,
 ) -> Entry:
@@ -166,6 +168,7 @@ def play(
         run: Number of the training run, if a learner has several.
         notes: Text to store in the entry.
         cost: What the player spent (moves, processor_s, tokens); the dict `cost` of a policy is added at the end.
+        training: Command that trains the run and writes its entry again, see `Entry.training`.
         episodes: Number of episodes to play for a trial; None: all.
         report_progress: Called with (episodes played, all episodes).
 
@@ -174,7 +177,7 @@ def play(
             tokens.
     """
     sequence = EpisodeSequence(task, split, track, round_, settings or {}, episodes)
-    env = sequence.env
+    env, player = sequence.env, None
     try:
         player = make_player(policy, sequence.card.name, run)
         if track == "tools" and "tokens" not in {**(cost or {}), **player.cost}:
@@ -196,6 +199,7 @@ def play(
             player.end()
             if report_progress:
                 report_progress(sequence.finished, len(sequence.seeds))
-        return sequence.build_entry(name or player.name, run, notes, {**(cost or {}), **player.cost})
+        return sequence.build_entry(name or player.name, run, notes, {**(cost or {}), **player.cost}, training)
     finally:
+        getattr(player, "close", lambda: None)()
         env.close()

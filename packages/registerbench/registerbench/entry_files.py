@@ -47,6 +47,7 @@ MEMBERS = ("entry.json", *ARRAY_MEMBERS)
 ARRAY_TYPES = {"steps": "<i8", "rewards": "<f8", "seen": "<u8", "scores": "<f8"}
 ACTION_TYPES = ("<f4", "<f8", "<i4", "<i8", "|i1", "|u1")
 TEXT_KEYS = ("task", "split", "track", "round", "player", "notes")
+OPTIONAL_KEYS = ("training",)  # texts that older entries lack
 MAX_TEXT_LENGTH = 4000
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # a constant, so that the same entry gives the same bytes whenever it is packed
 
@@ -70,6 +71,8 @@ class Entry:
         scores: Scores by name, (episodes,) each.
         versions: Versions with which the entry was made.
         made_of: Parts of the environment, in words.
+        training: Command that trains this run and writes its entry again, with {run}, {task}, {split}, {round} and {out} in place
+            of their values; "" if there is none. Reading an entry never runs it.
     """
 
     task: str
@@ -89,6 +92,7 @@ class Entry:
     scores: dict[str, np.ndarray]
     versions: dict[str, str]
     made_of: dict[str, str]
+    training: str = ""
 
     def pack(self) -> bytes:
         """Return the bytes of the file; equal entries give equal bytes."""
@@ -107,6 +111,7 @@ class Entry:
             "round": self.round, "settings": self.settings, "player": self.player, "run": self.run, "notes": self.notes,
             "cost": self.cost, "seeds": list(self.seeds), "scores": list(self.scores),
             "actions": [types["actions"], list(self.actions.shape[1:])], "versions": self.versions, "made_of": self.made_of,
+            **({"training": self.training} if self.training else {}),
         }  # fmt: skip
         text = json.dumps(
             {**header, "checksum": _compute_checksum(header, contents)}, indent=1, sort_keys=True, allow_nan=False
@@ -226,7 +231,7 @@ def _build_entry(header: dict[str, Any], raw: Mapping[str, bytes], name: str) ->
     _check_values(header, refuse)
     arrays: dict[str, Any] = _parse_arrays(header, raw, refuse)
     scores = dict(zip(header["scores"], arrays.pop("scores").T, strict=True))
-    texts = {key: header[key] for key in TEXT_KEYS}
+    texts = {key: header[key] for key in TEXT_KEYS} | {key: header.get(key, "") for key in OPTIONAL_KEYS}
     return Entry(
         **texts, settings=header["settings"], run=header["run"], cost=header["cost"], seeds=tuple(header["seeds"]),
         observation_digests=arrays.pop("seen"), **arrays, scores=scores, versions=header["versions"], made_of=header["made_of"],
@@ -239,6 +244,7 @@ def _check_types(header: dict[str, Any], refuse: Callable[[str], EntryError]) ->
         **dict.fromkeys(("settings", "cost", "versions", "made_of"), dict),
         **dict.fromkeys(("seeds", "scores", "actions"), list), "run": int, **dict.fromkeys(TEXT_KEYS, str),
     }  # fmt: skip
+    kinds |= {key: str for key in OPTIONAL_KEYS if key in header}
     if sorted(header) != sorted([*kinds, "format"]):
         raise refuse(f"entry.json must have the keys {', '.join(sorted([*kinds, 'format', 'checksum']))}")
     for key, kind in kinds.items():

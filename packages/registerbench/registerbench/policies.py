@@ -7,7 +7,8 @@ A policy is one of
     moves.npz            recorded actions: an array `actions`, (episodes, steps, ...), or (all steps, ...) with an array `steps`
     random, ...          a shipped player, see shipped_policies.py
 
-In Python a policy may also be such a function or object itself. Its `info` lacks the entries that the track hides.
+A `module:name` plays in a process of its own, over a pipe (policy_process.py). In Python a policy may also be such a function or
+object itself, which plays in this process. Its `info` lacks the entries that the track hides.
 """
 
 from __future__ import annotations
@@ -85,7 +86,9 @@ def make_player(policy: str | Policy, task: str, seed: int) -> Player:
     if policy.endswith(".npz"):
         return RecordedActionsPlayer(policy)
     if ":" in policy:
-        return PolicyPlayer(_import_policy(policy), policy)
+        from registerbench.policy_process import ProcessPolicy
+
+        return ProcessPolicy(policy)
     message = unknown_name_error(f"player of {task}", policy, shipped)
     raise ArgumentError(f"{message} Or give module:function, or an .npz of actions.")
 
@@ -115,7 +118,7 @@ def import_attribute(name: str, kind: str) -> Any:
         raise ArgumentError(f"{kind} {name}: module {module} has no {attribute!r}.") from None
 
 
-def _import_policy(name: str) -> Policy:
+def import_policy(name: str) -> Policy:
     """Import the policy that `module:attribute` names; make an object of a class. Raises ArgumentError."""
     policy = import_attribute(name, "policy")
     if isinstance(policy, type):

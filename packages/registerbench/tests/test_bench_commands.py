@@ -38,7 +38,8 @@ def test_options_that_are_not_set_have_their_defaults(played, capsys):
     code, (of, how), (path, force) = played("random", "-o", "a.bench")
     assert (code, of, path, force) == (0, ("random", "few-shot", "train"), "a.bench", False)
     assert how == {
-        "track": "host", "round_": "open", "settings": {}, "name": None, "run": 0, "notes": "", "cost": {}, "episodes": None,
+        "track": "host", "round_": "open", "settings": {}, "name": None, "run": 0, "notes": "", "cost": {}, "training": "",
+        "episodes": None,
     }  # fmt: skip
     text = capsys.readouterr().out
     assert "return 1.5 (means)" in text, "what is infinite has no mean"
@@ -49,12 +50,12 @@ def test_every_option_reaches_the_setting_that_its_help_describes(played, capsys
     code, (of, how), (path, force) = played(
         "mine:policy", "-o", "b.bench", "--task", "few-shot-wide", "--split", "loose", "--track", "truth", "--round", "2027",
         "--set", "memory=last", "--name", "me", "--run", "4", "--notes", "by hand", "--cost", "moves=3", "--cost", "tokens=1e6",
-        "--episodes", "5", "--force", episodes=5,
+        "--training", "python train.py {run} {out}", "--episodes", "5", "--force", episodes=5,
     )  # fmt: skip
     assert (code, of, path, force) == (0, ("mine:policy", "few-shot-wide", "loose"), "b.bench", True)
     assert how == {
         "track": "truth", "round_": "2027", "settings": {"memory": "last"}, "name": "me", "run": 4, "notes": "by hand",
-        "cost": {"moves": 3.0, "tokens": 1e6}, "episodes": 5,
+        "cost": {"moves": 3.0, "tokens": 1e6}, "training": "python train.py {run} {out}", "episodes": 5,
     }  # fmt: skip
     assert "part of the 64 test episodes alone: this entry can stand in no table" in capsys.readouterr().out
 
@@ -91,15 +92,15 @@ def test_a_replay_uses_the_requested_tolerance_and_returns_its_exit_code(monkeyp
 def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
     entry = SimpleNamespace(
         task="home", split="worn", track="host", round="open", player="a", run=0, cost={},
-        seeds=list_test_seeds(CARDS["home"], "worn"),
+        seeds=list_test_seeds(CARDS["home"], "worn"), actions=np.zeros(64), steps=np.ones(64, int),
         scores={"return": np.tile([1.0, 3.0], 32), "success": np.tile([1.0, 0.0], 32)},
     )  # fmt: skip
     monkeypatch.setattr(registerbench, "read_entries", lambda path: {"a.bench": entry})
-    assert main(["bench-table", "a.bench", "--json"]) == 0
+    assert main(["bench-table", "a.bench", "--json", "--no-replay"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert row["value"] == 2.0
     assert (row["task"], row["split"], row["player"], row["runs"], row["success"]) == ("home", "worn", "a", 1, 0.5)
-    assert (row["round"], row["mean"], row["regret"]) == ("open", 2.0, None)
+    assert (row["round"], row["mean"], row["regret"], row["replayed"]) == ("open", 2.0, None, False)
 
 
 @pytest.mark.parametrize("name", CARDS)

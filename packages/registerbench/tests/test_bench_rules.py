@@ -141,7 +141,7 @@ def test_a_long_table_lists_regret_for_successes_and_mean_damage_and_steps():
     }  # fmt: skip
     (row,) = score_statistics.compute_rows([entry(scores=scores)])
     assert (row.regret, row.lost_steps, row.limits, row.moves) == (0.25, 1.5, 0.5, 8.0)
-    assert "| success | regret | steps lost | limits | steps | beats |" in score_statistics.format_tables(
+    assert "| of oracle | success | regret | steps lost | limits | steps | beats |" in score_statistics.format_tables(
         [entry()], long=True
     )
     assert "| 50% | 0.250 | 1.5 | 0.5 | 8.0 | - |" in score_statistics.format_tables([entry(scores=scores)], long=True)

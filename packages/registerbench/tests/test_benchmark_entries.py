@@ -579,22 +579,28 @@ def test_a_table_lists_players_whose_intervals_do_not_overlap(entry, tmp_path, m
     def like(player, run, returns, **cost):
         scores = {**entry.scores, "return": np.array(returns)}
         path = f"{player}-{run}.bench"
-        dataclasses.replace(entry, player=player, run=run, scores=scores, cost=cost).write(path)
+        stated.append(dataclasses.replace(entry, player=player, run=run, scores=scores, cost=cost))
+        stated[-1].write(path)
         return path
+
+    stated = []
 
     files_ = [like("best", k, (3.0, 3.1, 3.2)) for k in range(2)] + [like("worst", 0, (0.0, 0.1, 0.2))]
     files_ += [like("wide", k, (0.0, 1.5, 3.1)) for k in range(2)]
     files_ += [like("few", k, (9.0, 9.1, 9.2), moves=100) for k in range(9)]
     files_ += [like("many", k, (9.0, 9.1, 9.2), moves=100) for k in range(10)]
-    assert main(["bench-table", *files_]) == 0
-    printed = capsys.readouterr().out
+    printed = score_statistics.format_tables(stated)
     assert re.search(r"\| few \| 9 x 3 .* \| too few runs: 10 are needed \|", printed), "a learner"
     assert re.search(r"\| many \| 10 x 3 .* \| best, wide, worst \|", printed)
     assert "| best | 2 x 3 | 3.100 (" in printed
-    assert re.search(r"\| best .* \| worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", printed)
+    assert re.search(r"\| best .* \| wide, worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", printed), (
+        "on the same machines"
+    )
     assert "steps lost" not in printed
-    assert main(["bench-table", *files_, "--long"]) == 0
-    assert "steps lost" in capsys.readouterr().out
+    assert main(["bench-table", *files_, "--long", "--no-replay"]) == 0
+    printed = capsys.readouterr().out
+    assert "steps lost" in printed
+    assert printed.count("| not replayed |") == 5, "whatever they state"
     assert main(["bench-table", files_[0], files_[0]]) == 2
     assert "two entries hold the same run" in capsys.readouterr().err
     registerbench.play("random", "brief", name="quick", episodes=2).write("quick.bench")

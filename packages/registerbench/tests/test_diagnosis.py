@@ -31,7 +31,7 @@ def case():
         c.box.close()
 
 
-def test_each_of_the_ten_named_setups_has_a_cause_of_its_own():
+def test_the_ten_named_setups_have_ten_causes():
     assert len({s.causes for s in SETUPS.values()} & {(c,) for c in CAUSES}) == len(SETUPS) == 10
     assert set(BETTER) | {s.name for s in SETUPS.values() if s.causes[0] in WORK} == set(SETUPS)
 

@@ -65,8 +65,8 @@ def test_a_player_that_sees_only_the_complaint_names_the_cause_no_better_than_ch
     # whoever knows the job guesses one of its causes; a second fault is drawn from those of the machine
     chance = np.mean([len(s.causes) / count_causes(seed) for seed, s in setups.items()])
     assert is_right.mean() <= chance + 0.05, f"{is_right.mean():.3f} of {chance:.3f}"
-    found = np.where(wholly_right, 1.0, np.where(is_right, 0.5, [-1 / len(s.causes) for s in setups.values()]))
-    value = 0.5 * found + 0.5 * np.array([s.causes == (NO_FAULT,) for s in setups.values()]) * wholly_right
+    shares = np.where(wholly_right, 1.0, np.where(is_right, 0.5, [-1 / len(s.causes) for s in setups.values()]))
+    value = 0.5 * shares + 0.5 * np.array([s.causes == (NO_FAULT,) for s in setups.values()]) * wholly_right
     assert value.mean() <= 0.05, "and silence is worth 0"
 
 
@@ -81,12 +81,12 @@ def answer_only(session):
     session.call("finish")
 
 
-def test_an_answer_without_a_look_is_worth_nothing_in_the_suite():
+def test_an_answer_without_a_measurement_is_worth_nothing_in_the_suite():
     assert play(make_suite("diagnosis", episodes=10), answer_only).value <= 0.05
 
 
 def test_a_repair_without_its_cause_is_worth_nothing():
-    """Whoever writes the program anew from the requirements has diagnosed nothing."""
+    """Write the program anew from the requirements, which diagnoses nothing."""
     seed = next(s for s in range(100) if not set(generate_setup(s).causes) & {*SERVICES.values(), NO_FAULT})
     setup = generate_setup(seed)
     for causes, value in (((), 0.0), (setup.causes, 1.0)):
@@ -134,7 +134,7 @@ def test_a_drawn_setup_fails_as_it_comes_and_works_when_repaired(seed):
     assert not explain_failure(setup, True), setup
 
 
-def test_a_round_has_its_own_setups_which_its_word_alone_tells():
+def test_a_round_has_setups_that_follow_from_its_word():
     open_, first, again, other = (
         [seed for _, seed in make_suite("diagnosis", round_=word).games] for word in ("open", "a", "a", "b")
     )
@@ -145,5 +145,5 @@ def test_a_round_has_its_own_setups_which_its_word_alone_tells():
 
 
 @pytest.mark.slow
-def test_the_technician_solves_most_setups_of_the_open_round():
+def test_the_technician_scores_above_four_fifths_in_the_open_round():
     assert play(make_suite("diagnosis", episodes=24), make_player("technician")).value > 0.8

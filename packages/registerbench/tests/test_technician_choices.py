@@ -86,7 +86,7 @@ def test_each_symptom_leads_to_its_cause_and_its_repair(how, cause):
         )
 
 
-def test_a_fault_behind_a_bug_is_answered_as_the_second():
+def test_a_fault_with_a_bug_is_answered_as_the_second():
     session = ScriptedSession(PROGRAM, diagnostics="R4 is 14 bits wide", places=[0, 0, 0, 0, 0, RIGHT])
     technician.play_technician(session)
     assert dict(session.calls)["answer"] == {"cause": "R4 wider than its register", "second": "jammed guides"}

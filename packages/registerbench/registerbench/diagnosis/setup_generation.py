@@ -146,19 +146,21 @@ def draw_moves_job(rng: np.random.Generator) -> Job:
     rates = f"x: R1 <- {start * counts}\nx: R2 <- {top * counts}\n"
     ramps = _write_register(rng, "R4", r4) + _write_register(rng, "R5", r4)
 
-    def write_program(ramps: str = ramps, r6: str = r6_line, reset: str = "x: operate 08h\n", late: str = "") -> str:
+    def write_program(
+        ramps: str = ramps, r6: str = r6_line, reset: str = "x: operate 08h\n", after_r6: str = ""
+    ) -> str:
         """Write the program of all legs, with these lines."""
         text = f"base x 300h\nx: operate 08h\n{rates}{ramps}x: R7 <- {multiplier}\n"
         for k, leg in enumerate(legs_mm):
             text += (reset if k == 1 else "x: operate 08h\n" if k else "") + f"x: R0 <- {abs(leg) * PULSES_PER_MM}\n"
-            text += r6 + late + f"x: control {'44h' if leg * side > 0 else '4Ch'}\nx: operate 15h\n"
+            text += r6 + after_r6 + f"x: control {'44h' if leg * side > 0 else '4Ch'}\nx: operate 15h\n"
             text += f"until x stopped 5\nwait {PAUSE_S}\n"
         return text
 
     program, keeps_r6 = write_program(), chips != "pcl240mk"
     wide = _write_register(rng, "R4", R4_LIMIT + int(rng.integers(2, 6) * (1 if multiplier == FINE[0] else 60)))
     bugs = {
-        "R6 missing after reset": write_program(r6="") if keeps_r6 else write_program(late="x: operate 08h\n"),
+        "R6 missing after reset": write_program(r6="") if keeps_r6 else write_program(after_r6="x: operate 08h\n"),
         "ramp-down point too late": write_program(r6=f"x: R6 <- {round(ramp_down * rng.uniform(0.03, 0.12))}\n"),
         "missing reset command": write_program(reset=""),
     }
@@ -193,9 +195,10 @@ def draw_origin_job(rng: np.random.Generator) -> Job:
         "missing reset command": _choose(rng, (write_program(first=""), write_program(second=""))),
     }
     _add_port_bug(bugs, program, rng, ("304h", "308h"))
-    way_s = (40 + 2 * away_mm) * PULSES_PER_MM / (rate * RATE_STEP_PPS)
+    travel_s = (40 + 2 * away_mm) * PULSES_PER_MM / (rate * RATE_STEP_PPS)
     trial = AcceptanceTrial(
-        (-0.12, -0.12 + away_mm / 1e3, -0.12), rate_pps=rate * RATE_STEP_PPS, max_seconds=round(1.2 * way_s + 3 * PAUSE_S + 0.4, 1),
+        (-0.12, -0.12 + away_mm / 1e3, -0.12), rate_pps=rate * RATE_STEP_PPS,
+        max_seconds=round(1.2 * travel_s + 3 * PAUSE_S + 0.4, 1),
         starts_m=(-0.1, -0.08), from_start=False, tolerance_m=3e-4,
     )  # fmt: skip
     faults = {"stuck ORG sensor": (0.0, 1.0), "slipping coupling": (0.05, 0.07), **STANDSTILLS}
@@ -208,7 +211,7 @@ def draw_limits_job(rng: np.random.Generator) -> Job:
     top, start, side = int(rng.integers(40, 51)), 3, _choose(rng, (1, -1))
     ramp_s = float(rng.uniform(0.16, 0.24))
     r4 = round(ramp_s * RAMP_CLOCK_HZ / (FINE[1] * (top - start)))
-    way_s = 0.3 * PULSES_PER_MM * 1e3 / (top * RATE_STEP_PPS)
+    travel_s = 0.3 * PULSES_PER_MM * 1e3 / (top * RATE_STEP_PPS)
     ramps = _write_register(rng, "R4", r4) + _write_register(rng, "R5", r4)
     rates = f"x: R1 <- {start * FINE[1]}\nx: R2 <- {top * FINE[1]}\n"
     first, then = ("40h", "48h") if side > 0 else ("48h", "40h")
@@ -217,7 +220,7 @@ def draw_limits_job(rng: np.random.Generator) -> Job:
     def write_program(ramps: str = ramps, reset: str = "x: operate 08h\n") -> str:
         """Write the program with these lines."""
         moves = [
-            f"x: control {c}\nx: operate 15h\nuntil x stopped {round(way_s + 2)}\nwait {PAUSE_S}\n"
+            f"x: control {c}\nx: operate 15h\nuntil x stopped {round(travel_s + 2)}\nwait {PAUSE_S}\n"
             for c in (first, then)
         ]
         return f"base x 300h\nx: operate 08h\n{rates}{ramps}x: R7 <- {FINE[0]}\n{moves[0]}{reset}{moves[1]}"
@@ -229,7 +232,7 @@ def draw_limits_job(rng: np.random.Generator) -> Job:
         bugs["R4 wider than its register"] = write_program(ramps=wide + ramps.partition("\n")[2])
     _add_port_bug(bugs, program, rng, ("304h", "308h"))
     trial = AcceptanceTrial(
-        (0.15 * side, -0.15 * side), rate_pps=top * RATE_STEP_PPS, max_seconds=round(1.2 * 7 / 6 * way_s + 2.0, 1),
+        (0.15 * side, -0.15 * side), rate_pps=top * RATE_STEP_PPS, max_seconds=round(1.2 * 7 / 6 * travel_s + 2.0, 1),
         min_ramp_s=round(0.95 * ramp_s, 3), starts_m=(0.1 * side,), from_start=False, tolerance_m=1e-3,
     )  # fmt: skip
     faults = {

@@ -1,0 +1,154 @@
+"""The oracle: a search on the true machine of each test episode, the upper end of the normalized score.
+
+python -m registerbench.baselines.oracle -o entries --tasks one-shot home --splits train weak --tries 256
+
+It begins with the actions of the task's scripted host, and with a report if the machine has a fault that is to be reported. Then it
+changes them by normal numbers, keeps the best, and narrows the search when nothing better comes. It plays every try on the machine
+of the test episode itself, which no player may do; the entry states their number as its cost, and is on the track truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from registerbench.baselines import explain_interrupt
+from registerbench.baselines.bench_entries import write_entry
+from registerbench.benchmark_tasks import CARDS, OPEN_ROUND, Card, list_test_seeds
+from registerbench.score_statistics import ORACLE, ORACLE_TRACK
+from stage.errors import ArgumentError
+
+LANES = 16  # tries that are played at once
+FIRST_SIGMA, SHRINK_FACTOR = 0.3, 0.85
+
+
+class EpisodeSearch:
+    """Search for the best actions of single episodes of a task.
+
+    Args:
+        card: Card of the task.
+        split: Split of the machines.
+
+    Attributes:
+        steps: Number of steps that the tries have made so far.
+    """
+
+    def __init__(self, card: Card, split: str):
+        self._env = card.make_env(split, ORACLE_TRACK, {})
+        self._envs = card.make_env(split, ORACLE_TRACK, {}, LANES)
+        if not isinstance(self._env.action_space, gymnasium.spaces.Box):
+            raise ArgumentError(f"task {card.name}: the oracle searches continuous actions; take another task.")
+        self.steps = 0
+
+    def play_scripted_host(self, seed: int) -> tuple[list[np.ndarray], bool]:
+        """Return the actions of the scripted host, and whether the machine has a fault."""
+        _, info = self._env.reset(seed=seed)
+        actions, is_over = [], False
+        while not is_over:
+            actions.append(np.array(self._env.scripted_action()))
+            *_, terminated, truncated, _ = self._env.step(actions[-1])
+            is_over = terminated or truncated
+        self.steps += len(actions)
+        return actions, bool(info.get("fault", 0))
+
+    def play_candidates(self, seed: int, candidates: np.ndarray) -> np.ndarray:
+        """Return the sum of rewards of each try.
+
+        Args:
+            seed: Seed of the episode.
+            candidates: Actions, (LANES, steps, ...); the last one is repeated if an episode goes on.
+        """
+        self._envs.reset(seed=[seed] * LANES)
+        total, is_over, step = np.zeros(LANES), np.zeros(LANES, bool), 0
+        while not is_over.all():
+            actions = candidates[:, min(step, candidates.shape[1] - 1)]
+            _, rewards, terminated, truncated, _ = self._envs.step(actions)
+            total += np.where(is_over, 0.0, rewards)
+            self.steps += int((~is_over).sum())
+            is_over |= terminated | truncated
+            step += 1
+        return total
+
+    def find_best_actions(self, seed: int, budget: int) -> np.ndarray:
+        """Return the best actions of an episode that a number of tries finds, (steps, ...)."""
+        rng, (scripted, is_faulty) = np.random.default_rng(seed), self.play_scripted_host(seed)
+        length = (
+            self._env.task_instance.config.returns
+            if hasattr(self._env.task_instance.config, "returns")
+            else len(scripted)
+        )
+        best = np.stack([*scripted, *[scripted[-1]] * (length - len(scripted))])
+        searched = np.ones(best.shape[1])
+        has_report = any(e.name == "reported" for e in self._env.info_features)
+        if has_report:  # the last number reports a fault; the oracle knows whether there is one
+            searched[-1], best[:, -1] = 0.0, 1.0 if is_faulty else -1.0
+        best_return, sigma = -np.inf, FIRST_SIGMA
+        for generation in range(max(budget // LANES, 1)):
+            common, single = rng.normal(size=(LANES, 1, best.shape[1])), rng.normal(size=(LANES, *best.shape))
+            changes = sigma * searched * (common + 0.3 * single)
+            changes[0] = 0.0 if generation == 0 else changes[0]
+            candidates = np.clip(best + changes, -1, 1).astype(np.float32)
+            returns = self.play_candidates(seed, candidates)
+            winner = int(np.argmax(returns))
+            if returns[winner] > best_return:
+                best, best_return = candidates[winner], float(returns[winner])
+            else:
+                sigma *= SHRINK_FACTOR
+            if has_report and is_faulty:
+                break
+        return best
+
+    def close(self) -> None:
+        """Close the environments."""
+        self._env.close()
+        self._envs.close()
+
+
+class BestActions:
+    """Policy that plays the actions found for each episode, in their order."""
+
+    def __init__(self, episodes: list[np.ndarray], steps: int):
+        self._episodes, self._episode, self._step = episodes, -1, 0
+        self.cost = {"moves": float(steps)}
+
+    def reset(self, policy_context: Any) -> None:
+        self._episode, self._step = self._episode + 1, 0
+
+    def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
+        actions = self._episodes[self._episode]
+        self._step += 1
+        return actions[min(self._step, len(actions)) - 1]
+
+
+def search_split(task: str, split: str, round_: str, budget: int, episodes: int | None = None) -> BestActions:
+    """Search the best actions of all test episodes of a split, and return the policy that plays them."""
+    search = EpisodeSearch(CARDS[task], split)
+    try:
+        seeds = list_test_seeds(CARDS[task], split, round_)[:episodes]
+        return BestActions([search.find_best_actions(seed, budget) for seed in seeds], search.steps)
+    finally:
+        search.close()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
+    continuous = [name for name in CARDS if not name.startswith("bus")]
+    parser.add_argument("--tasks", nargs="+", choices=continuous, default=continuous)
+    parser.add_argument("--splits", nargs="+", default=["train"])
+    parser.add_argument("--tries", type=int, default=256, help="tries of an episode (default: 256)")
+    parser.add_argument("--round", default=OPEN_ROUND, metavar="WORD")
+    args = parser.parse_args()
+    for task in args.tasks:
+        for split in (s for s in args.splits if s in CARDS[task].splits):
+            policy = search_split(task, split, args.round, args.tries)
+            write_entry(policy, task, split, args.out, ORACLE, 0, name=ORACLE, track=ORACLE_TRACK, round_=args.round)
+
+
+if __name__ == "__main__":
+    with explain_interrupt("the entries written so far are saved."):
+        main()

@@ -1,0 +1,148 @@
+"""Checks of entries before they are compared: replay, copies, shipped players, and training runs that are made again.
+
+Nothing that an entry claims counts: its rewards come from a replay, runs with the same actions are copies, and a player counts
+as one that does not learn only if it is shipped and plays these actions again. A learner's run counts if its training command,
+run again, gives its actions again; `spot_checks` says for how many runs of each player this is tried. Commands come from the
+authors of entries, so none is run unless the caller asks for it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from registerbench import entry_creation, entry_files, entry_replay
+from registerbench.entry_files import Entry
+from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
+from stage.errors import ArgumentError, StageError
+
+SHIPPED_EPISODES = 4  # episodes for which a shipped player is played again
+TRAINING_TIME_LIMIT_S = 24 * 3600.0
+
+
+@dataclass(frozen=True)
+class EntryCheck:
+    """Result of the checks of one entry.
+
+    Attributes:
+        replayed: Whether a replay has confirmed every reward, observation and score.
+        shipped: Whether a shipped player of this name plays its actions again, so that nothing was learned.
+        retrained: Whether its training command gave its actions again; None if that was not tried.
+        note: Reason of a check that failed, in words; "" if none failed.
+    """
+
+    replayed: bool = False
+    shipped: bool = False
+    retrained: bool | None = None
+    note: str = ""
+
+
+def digest_actions(e: Entry) -> str:
+    """Return a digest of what an entry did; two runs with the same digest are copies."""
+    digest = hashlib.blake2b(np.ascontiguousarray(e.actions).tobytes(), digest_size=16)
+    digest.update(np.ascontiguousarray(e.steps).tobytes())
+    return digest.hexdigest()
+
+
+def check_entries(
+    entries: Iterable[Entry],
+    replay: bool = True,
+    spot_checks: int = 0,
+    report_progress: Callable[[str], None] = lambda text: None,
+) -> list[EntryCheck]:
+    """Check entries.
+
+    Args:
+        entries: Entries to check.
+        replay: Whether to replay them; otherwise no entry counts as replayed.
+        spot_checks: Number of runs of each player whose training commands are run again, drawn at random.
+        report_progress: Called with a sentence before each step that takes long.
+
+    Returns:
+        A check of each entry, in their order.
+    """
+    if isinstance(spot_checks, bool) or not isinstance(spot_checks, int) or spot_checks < 0:
+        raise ArgumentError(f"spot_checks={spot_checks!r}: a whole number of runs, 0 or more.")
+    entries = list(entries)
+    checks = [_check_replay(e, report_progress) if replay else EntryCheck(note="not replayed") for e in entries]
+    for indices in _group_runs(entries, checks):
+        drawn_indices = np.random.default_rng().permutation(indices)[:spot_checks]  # nobody can know which
+        for k in drawn_indices.tolist():
+            report_progress(f"trains {_describe(entries[k])} again: {entries[k].training}")
+            checks[k] = _retrain(entries[k], checks[k])
+    return checks
+
+
+def _describe(e: Entry) -> str:
+    """Return player, task, split and run of an entry in words."""
+    return f"{e.player} on {e.task} {e.split}, run {e.run}"
+
+
+def _check_replay(e: Entry, report_progress: Callable[[str], None]) -> EntryCheck:
+    """Replay an entry, and play the shipped player of its name again."""
+    report_progress(f"replays {_describe(e)}")
+    try:
+        verdict = entry_replay.verify(e)
+        if not verdict.exact:
+            return EntryCheck(note=f"differs here: {verdict.first_difference}")
+        return EntryCheck(replayed=True, shipped=_is_shipped(e))
+    except StageError as why:
+        return EntryCheck(note=str(why))
+
+
+def _is_shipped(e: Entry) -> bool:
+    """Return whether a shipped player of the entry's name plays its first episodes again, action by action."""
+    if e.player not in {**COMMON_PLAYERS, **TASK_PLAYERS.get(e.task, {})}:
+        return False
+    count = min(SHIPPED_EPISODES, len(e.seeds))
+    again = entry_creation.play(
+        e.player, e.task, e.split, track=e.track, round_=e.round, settings=e.settings, run=e.run, episodes=count
+    )
+    return np.array_equal(again.steps, e.steps[:count]) and np.array_equal(
+        again.actions, e.actions[: len(again.actions)]
+    )
+
+
+def _group_runs(entries: list[Entry], checks: list[EntryCheck]) -> list[list[int]]:
+    """Return the indices of the replayed runs of each player that is not shipped."""
+    groups: dict[tuple, list[int]] = {}
+    for k, (e, check) in enumerate(zip(entries, checks, strict=True)):
+        if check.replayed and not check.shipped:
+            groups.setdefault((e.task, e.split, e.track, e.round, e.player), []).append(k)
+    return list(groups.values())
+
+
+def _retrain(e: Entry, check: EntryCheck) -> EntryCheck:
+    """Run the training command of an entry, and compare the actions of the entry that it writes."""
+    if not e.training:
+        return replace(check, retrained=False, note=f"run {e.run} states no training command")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "again.bench"
+        values = {"{run}": str(e.run), "{task}": e.task, "{split}": e.split, "{round}": e.round, "{out}": str(file)}
+        words = [sys.executable if word == "python" else word for word in shlex.split(e.training)]
+        words = [_fill_in(word, values) for word in words]
+        try:
+            subprocess.run(words, check=True, capture_output=True, timeout=TRAINING_TIME_LIMIT_S)
+            again: Any = entry_files.read_entry(file)
+        except (OSError, subprocess.SubprocessError, StageError) as why:
+            return replace(check, retrained=False, note=f"the training command of run {e.run} failed: {str(why)[:200]}")
+    same = again.seeds == e.seeds and digest_actions(again) == digest_actions(e)
+    return replace(
+        check, retrained=same, note="" if same else f"the training command of run {e.run} gives other actions"
+    )
+
+
+def _fill_in(word: str, values: dict[str, str]) -> str:
+    """Replace the names in braces in a word of a command by their values."""
+    for name, value in values.items():
+        word = word.replace(name, value)
+    return word

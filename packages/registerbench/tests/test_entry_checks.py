@@ -1,0 +1,146 @@
+"""Cheats in tables of entries that no longer pay, and the comparisons that a table makes."""
+
+import dataclasses
+import sys
+
+import numpy as np
+import pytest
+
+import registerbench
+from registerbench import benchmark_tasks, score_statistics
+from registerbench.baselines.oracle import search_split
+from registerbench.benchmark_tasks import Card
+from registerbench.entry_checks import check_entries, digest_actions
+from registerbench.entry_files import unpack_entry
+from stage.cli import main
+from stage.envs.few_shot import make_action
+
+BRIEF = Card(
+    "brief", "stage/OneShotTuning-v1", "a trial", episodes=4,
+    settings={"model": "xy", "distances": (1600, 2000), "proofs": 1, "settle": 0.01},
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    monkeypatch.setitem(benchmark_tasks.CARDS, "brief", BRIEF)
+
+
+def careful(observation, info):
+    return make_action(1000, 30_000, 0.08, 0.08)
+
+
+@pytest.fixture
+def honest():
+    return registerbench.play(careful, "brief", name="honest")
+
+
+def compute_rows(*entries, **options):
+    return {row.player: row for row in score_statistics.compute_rows(entries, check_entries(entries, **options))}
+
+
+def claim(entry, player, run=0, rewards=None, **changes):
+    """Return a copy of an entry under another name, with rewards that somebody typed."""
+    scores = {**entry.scores, "return": entry.scores["return"] if rewards is None else np.full(4, rewards)}
+    rewards = entry.rewards if rewards is None else np.full(len(entry.rewards), rewards)
+    return dataclasses.replace(entry, player=player, run=run, rewards=rewards, scores=scores, **changes)
+
+
+def test_rewards_typed_by_hand_rank_below_all_that_is_replayed(honest):
+    """Check a table that once replayed nothing, and that they topped."""
+    rows = compute_rows(claim(honest, "typed", rewards=9.0), honest)
+    assert list(rows) == ["honest", "typed"]
+    assert "differs here: episode 0" in rows["typed"].doubt
+    assert not rows["typed"].beats(rows["honest"])
+    rows = compute_rows(honest, replay=False)
+    assert rows["honest"].doubt == "not replayed"
+
+
+def test_one_run_under_ten_numbers_counts_once(honest):
+    copies = [claim(honest, "copied", run=k) for k in range(10)]
+    row = compute_rows(*copies)["copied"]
+    assert (row.runs, row.copies) == (1, 9)
+    assert row.doubt == "too few runs: 10 are needed"
+
+
+def test_what_is_no_shipped_player_has_learned_whatever_it_states(honest):
+    """A learner that stated no moves beat others with a single run."""
+    formula = registerbench.play("formula", "one-shot", episodes=4)
+    assert check_entries([formula])[0].shipped
+    assert not check_entries([dataclasses.replace(formula, player="scripted of my own")])[0].shipped
+    row = compute_rows(claim(honest, "formula", cost={}))["formula"]
+    assert row.learned, "the shipped formula acts otherwise"
+    assert row.doubt.startswith("too few runs")
+
+
+TRAINING = """
+import sys
+import registerbench
+from registerbench import benchmark_tasks
+from registerbench.benchmark_tasks import Card
+benchmark_tasks.CARDS["brief"] = Card({card})
+from stage.envs.few_shot import make_action
+run, out = int(sys.argv[1]), sys.argv[2]
+policy = lambda observation, info: make_action(1000, {rate}, 0.08, 0.08)
+registerbench.play(policy, "brief", name="learner", run=run).write(out)
+"""
+
+
+def test_a_run_counts_when_its_training_command_gives_its_actions_again(honest, tmp_path):
+    card = f"'brief', {BRIEF.id!r}, 'a trial', episodes=4, settings={dict(BRIEF.settings)!r}"
+    runs = [
+        registerbench.play(
+            lambda o, i, k=k: make_action(1000, 20_000 + 100 * k, 0.08, 0.08), "brief", name="learner", run=k
+        )
+        for k in range(10)
+    ]
+    for rate, retrained in (("20_000 + 100 * run", True), ("25_000", False)):
+        (tmp_path / "train.py").write_text(TRAINING.format(card=card, rate=rate))
+        trained = [dataclasses.replace(e, training=f"python {tmp_path}/train.py {{run}} {{out}}") for e in runs]
+        row = compute_rows(*trained, spot_checks=1)["learner"]
+        assert (row.runs, row.learned, row.retrained) == (10, True, retrained), row.note
+        assert ("gives other actions" in row.doubt) != retrained
+    row = compute_rows(*runs, spot_checks=1)["learner"]
+    assert "states no training command" in row.doubt
+    assert compute_rows(*runs)["learner"].doubt == "not trained again: see --spot-check"
+
+
+def test_a_training_command_travels_in_the_file_and_is_never_run_unasked(honest, tmp_path, capsys):
+    mark = tmp_path / "ran"
+    entry = dataclasses.replace(honest, training=f"{sys.executable} -c open({str(mark)!r},'w') {{out}}")
+    assert unpack_entry(entry.pack()).training == entry.training
+    assert b"training" not in honest.pack()[:4000], "older readers take it"
+    entry.write(tmp_path / "a.bench")
+    assert main(["bench-table", str(tmp_path / "a.bench")]) == 0
+    assert main(["bench-verify", str(tmp_path / "a.bench")]) == 0
+    assert not mark.exists()
+
+
+def test_comparisons_are_paired_on_the_same_machines():
+    """Machines differ by far more than the players, whose intervals overlap."""
+    draw = np.random.default_rng(3)
+    machines = draw.normal(size=(1, 64))
+    better = machines + 0.1 + draw.normal(scale=0.02, size=(1, 64))
+    assert score_statistics.compute_interval(better)[0] < score_statistics.compute_interval(machines)[1]
+    difference, low, high = score_statistics.compute_difference(better, machines)
+    assert 0.05 < low < difference < high < 0.2
+    assert score_statistics.compute_difference(machines, machines) == (0.0, 0.0, 0.0)
+
+
+def test_the_reference_is_0_and_the_oracle_is_1(honest):
+    oracle = registerbench.play(search_split("brief", "train", "open", 48), "brief", name="oracle", track="truth")
+    assert oracle.cost["moves"] >= 4 * 48, "the cost of its search"
+    reference = claim(registerbench.play("scripted", "brief"), "scripted")
+    rows = compute_rows(oracle, reference, honest)
+    assert rows["scripted"].normalized == 0.0
+    assert rows["oracle"].normalized == 1.0
+    assert rows["oracle"].value > rows["scripted"].value
+    expected = (rows["honest"].value - rows["scripted"].value) / (rows["oracle"].value - rows["scripted"].value)
+    assert rows["honest"].normalized == pytest.approx(expected)
+    table = score_statistics.format_rows(list(rows.values())).split("\n\n**")[0]
+    assert "| oracle | 1 x 4 |" in table
+    assert "IQM minus scripted, paired" in table
+
+
+def test_equal_actions_have_equal_digests(honest):
+    assert digest_actions(honest) == digest_actions(claim(honest, "other", rewards=3.0))
