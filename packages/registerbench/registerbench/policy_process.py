@@ -4,28 +4,24 @@ A policy in the benchmark's process found the environment among the objects of t
 and restored it. Here it receives observations, and answers with actions as lines of JSON. What it receives is pickled by the
 benchmark; the benchmark reads nothing from it but JSON.
 
-python -m registerbench.policy_process module:name      is what `ProcessPolicy` starts
+policy_worker.py is the program of that process.
 """
 
 from __future__ import annotations
 
 import base64
-import json
 import os
 import pickle
 import subprocess
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from registerbench.policies import PolicyContext, PolicyPlayer, import_policy
 from stage.errors import ArgumentError, StageError
 from stage.support.foreign_files import DocumentError, parse_json
-
-if TYPE_CHECKING:
-    from typing import TextIO
 
 ACTION_TYPES = ("float32", "float64", "int64", "int32", "int16", "int8", "uint8", "bool")
 MAX_LINE_LENGTH = 1 << 22  # characters of an answer
@@ -44,7 +40,7 @@ class ProcessPolicy:
     def __init__(self, name: str):
         self.name, self.cost = name, dict[str, float]()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "registerbench.policy_process", name],
+            [sys.executable, "-m", "registerbench.policy_worker", name],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8", env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )  # fmt: skip
         try:
@@ -53,9 +49,9 @@ class ProcessPolicy:
             self.close()
             raise
 
-    def begin(self, policy_context: PolicyContext) -> None:
-        """Begin an episode."""
-        self._exchange({"context": PolicyContext(**{**vars(policy_context), "env": None})})
+    def begin(self, policy_context: Any) -> None:
+        """Begin an episode, with a `PolicyContext`."""
+        self._exchange({"context": replace(policy_context, env=None)})
 
     def act(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         """Return the action that the policy chooses."""
@@ -101,39 +97,3 @@ class ProcessPolicy:
         if isinstance(cost, dict):
             self.cost = {str(k): float(v) for k, v in cost.items() if isinstance(v, int | float)}
         return answer
-
-
-def serve_policy(name: str, requests: TextIO, answers: TextIO) -> None:
-    """Answer the requests of a `ProcessPolicy` until its pipe is closed.
-
-    Args:
-        name: Policy as "module:name".
-        requests: Lines with pickled messages.
-        answers: Where the answers go, as lines of JSON.
-    """
-    policy: PolicyPlayer | None = None
-    for line in requests:
-        message = pickle.loads(base64.b64decode(line))  # written by the benchmark
-        answer: dict[str, Any] = {}
-        try:
-            if "path" in message:
-                sys.path[:] = message["path"]
-                policy = PolicyPlayer(import_policy(name), name)
-            elif "context" in message:
-                policy.begin(message["context"])  # type: ignore[union-attr]
-            else:
-                action = np.asarray(policy.act(message["observation"], message["info"]))  # type: ignore[union-attr]
-                answer = {"action": action.tolist(), "type": action.dtype.name}
-            answer["cost"] = policy.cost if policy else {}
-        except ArgumentError as error:
-            answer = {"refused": str(error)}
-        except Exception as error:
-            answer = {"failed": f"{type(error).__name__}: {error}"[:1000]}
-        answers.write(json.dumps(answer, default=repr) + "\n")
-        answers.flush()
-
-
-if __name__ == "__main__":
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as pipe:
-        os.dup2(2, 1)  # what the policy prints goes to standard error
-        serve_policy(sys.argv[1], sys.stdin, pipe)
