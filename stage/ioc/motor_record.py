@@ -33,8 +33,9 @@ from stage.ioc.move_planning import PlannedMove
 Motion = Callable[[int], Awaitable[bool]]
 """Coroutine function of the motion's number; it returns whether VAL takes the final position."""
 
-REPLY_DELAY_S = 0.02
-"""Real seconds between the final monitors and the reply to a put, which must not overtake them."""
+REPLY_DELAYS_S = (0.015, 0.015)
+"""Real seconds between the final monitors and the reply to a put, which must not overtake them. caproto sends monitors up to 10 ms
+late; the second delay serves if the event loop was busy during the first one."""
 DEFAULT_SPEED_SHARE = 0.2
 """Default of VELO, as a share of the axis' top speed; at most MAX_DEFAULT_SPEED."""
 MAX_DEFAULT_SPEED = 20.0
@@ -320,7 +321,7 @@ class MotorRecord(PVGroup):
         await self.set("DMOV", 1)
         if self._get_mode() == MOVE:
             await self.force("SPMG", "Pause")
-        await asyncio.sleep(REPLY_DELAY_S)
+        await _wait_for_monitors()
 
     async def _hold(self, at_rest: asyncio.Event, number: int) -> bool:
         """Bring the axis to rest, and keep DMOV 0 until another motion replaces this one: SPMG is Stop or Pause."""
@@ -445,7 +446,7 @@ class MotorRecord(PVGroup):
         await self._say(self._remark)
         if self._idle.is_set():
             await self.force("DMOV", 1)
-            await asyncio.sleep(REPLY_DELAY_S)
+            await _wait_for_monitors()
 
     def _may_move(self) -> bool:
         """Return whether SPMG allows motion."""
@@ -730,6 +731,12 @@ class MotorRecord(PVGroup):
             await self.refuse_request(str(error))
             raise SkipWrite from None
         return value
+
+
+async def _wait_for_monitors() -> None:
+    """Wait until the monitors of the last changes are sent."""
+    for delay_s in REPLY_DELAYS_S:
+        await asyncio.sleep(delay_s)
 
 
 def _begin_move(dial: float, profile: Profile, axis: ControlledAxis) -> AxisAction | None:
