@@ -96,7 +96,10 @@ def test_a_macro_without_effect_is_masked_and_does_nothing_when_played(env):
     before = env.stage.time
     ((_, reward, *_, info),) = play_macros(env, "plus")
     assert info["masked"]
-    assert reward == info["reward_parts"]["cost"] == -0.01
+    parts = info["reward_parts"]
+    assert parts["cost"] == -0.01
+    assert parts["failed"] == pytest.approx(-(119 * 0.01 + 30.0 * 0.05)), "what a failure would cost yet"
+    assert reward == pytest.approx(parts["cost"] + parts["failed"])
     assert env.stage.time == before
     *_, (*_, info) = play_macros(env, "rates usual", "distance 16", "plus")
     assert not info["masked"]
