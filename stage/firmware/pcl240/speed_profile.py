@@ -250,13 +250,13 @@ class Profile:
         for name, value in {"fh1": fh1, "fh2": fh2, "fl": fl}.items():
             if not 0 < value <= max_rate:
                 raise ArgumentError(
-                    f"{name}={value:.10g} pps: a chip at {clock_hz} Hz makes up to {max_rate:.0f} pps (R7 = {r7[0]})."
+                    f"{name}={round(value, 3)!r} pps: a chip at {clock_hz} Hz makes up to {max_rate:.0f} pps (R7 = {r7[0]})."
                 ).with_limit(
                     ExceededLimit({"fh1": "speed", "fh2": "fast", "fl": "start_speed"}[name], value, 0.0, max_rate)
                 )
         if fl > min(fh1, fh2):
             raise ArgumentError(
-                f"fl={fl:.10g} pps is above a high rate ({fh1:g}, {fh2:g}): ramps lead from FL upwards."
+                f"fl={round(fl, 3)!r} pps is above a high rate ({fh1:g}, {fh2:g}): ramps lead from FL upwards."
             ).with_limit(ExceededLimit("start_speed", fl, 0.0, min(fh1, fh2)))
         for name, value in {"accel": accel, "decel": decel}.items():
             if not 0 < value <= 100:
