@@ -211,10 +211,17 @@ def _compile_cplusplus(
     def compile_source(numbered: tuple[int, str]) -> tuple[Path, str]:
         k, source = numbered
         output = folder / f"{k}-{Path(source).stem}.cpp.o"
-        return cache.compile(Path(source), [*command, source], output, lambda full: _compile(main, full, platform))
+        options = _leave_out_user_folders(command) if Path(source).is_relative_to(platforms.FOLDER) else command
+        return cache.compile(Path(source), [*options, source], output, lambda full: _compile(main, full, platform))
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(compile_source, enumerate(sources)))
+
+
+def _leave_out_user_folders(command: Sequence[str]) -> list[str]:
+    """Return a command with the include folders of this package only, so that a platform's source is compiled once for all projects."""
+    own = f"-I{get_include_folder()}"
+    return [flag for flag in command if not flag.startswith("-I") or flag == "-I" or flag.startswith(own)]
 
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:

@@ -45,6 +45,12 @@ def test_nothing_is_compiled_again_while_nothing_has_changed(project):
     assert project.build() == []
 
 
+def test_the_source_of_the_platform_is_compiled_once_for_sketches_of_all_folders(project):
+    project.build()
+    project.source = shutil.copytree(project.source.parent, project.source.parent.with_name("other")) / "sketch.ino"
+    assert project.build() == ["part.cpp", "sketch.ino.cpp"]
+
+
 def test_a_changed_source_alone_is_compiled_again(project):
     project.build()
     project.source.write_text(SKETCH.replace("9600", "4800"))
