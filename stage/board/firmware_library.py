@@ -219,9 +219,9 @@ def _compile_cplusplus(
 
 
 def _leave_out_user_folders(command: Sequence[str]) -> list[str]:
-    """Return a command with the include folders of this package only, so that a platform's source is compiled once for all projects."""
-    own = f"-I{get_include_folder()}"
-    return [flag for flag in command if not flag.startswith("-I") or flag == "-I" or flag.startswith(own)]
+    """Return a command without the include folders of a project, so that a platform's source is compiled once for all."""
+    package_folder = f"-I{get_include_folder()}"
+    return [flag for flag in command if not flag.startswith("-I") or flag == "-I" or flag.startswith(package_folder)]
 
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:
