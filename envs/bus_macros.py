@@ -59,6 +59,7 @@ from stage.envs import machine_contexts, machine_faults
 from stage.envs.bus_macros_host import AXIS, EPISODE, SWITCHES, BusHost
 from stage.envs.hidden_machine_task import MachineSettings
 from stage.envs.macro_programs import RATES, MacroTable
+from stage.envs.move_trials import compute_move_time
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
 from stage.envs.settings import (
@@ -73,7 +74,6 @@ from stage.envs.settings import (
     Seconds,
     Weight,
 )
-from stage.envs.single_moves import compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.errors import ArgumentError, unknown_name_error

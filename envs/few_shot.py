@@ -43,6 +43,7 @@ import numpy as np
 from stage import Stage
 from stage.envs import machine_contexts
 from stage.envs.hidden_machine_task import MachineSettings, MachineTask
+from stage.envs.move_trials import MAX_OFFSET_M, TENTH_MM, MoveTrial, compute_move_time
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.scaling import scale_log
 from stage.envs.settings import (
@@ -56,7 +57,6 @@ from stage.envs.settings import (
     Weight,
     read_option,
 )
-from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM, MoveTrial, compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.firmware.driver import Speeds, get_driver

@@ -54,8 +54,8 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs import settings
+from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
-from stage.envs.single_moves import StartPositions
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import DIVERGED
 from stage.envs.task import Task

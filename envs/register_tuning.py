@@ -31,9 +31,9 @@ import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs import settings
+from stage.envs.move_trials import TENTH_MM, MoveTrial
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.register_scaling import RegisterBox
-from stage.envs.single_moves import TENTH_MM, MoveTrial
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
 from stage.sim.fleet import PlayedPrograms

@@ -37,6 +37,7 @@ import numpy as np
 from stage import Stage
 from stage.envs import machine_contexts, synchronized_move
 from stage.envs.hidden_machine_task import MachineSettings, MachineTask
+from stage.envs.move_trials import TENTH_MM, compute_move_time
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.settings import (
     AxisName,
@@ -48,7 +49,6 @@ from stage.envs.settings import (
     Seconds,
     Weight,
 )
-from stage.envs.single_moves import TENTH_MM, compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.envs.synchronized_move import END_FEATURES, LINE_FEATURES, SynchronizedMove

@@ -49,10 +49,10 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import settings
+from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.register_scaling import RegisterBox
 from stage.envs.scaling import scale_log
-from stage.envs.single_moves import StartPositions
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.task import MoveTask
 from stage.errors import ArgumentError, unknown_name_error

@@ -16,11 +16,11 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip
+from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.register_scaling import RegisterBox
 from stage.envs.scaling import scale, scale_log
 from stage.envs.settings import read_option
-from stage.envs.single_moves import StartPositions
 from stage.envs.task import MoveTask
 from stage.errors import unknown_name_error
 from stage.sim.payload_and_judged_point import find_payload_body

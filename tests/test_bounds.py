@@ -7,7 +7,7 @@ import pytest
 
 from stage import ArgumentError, Drive, Stage, StageError, firmware
 from stage.board import Board
-from stage.board.host import to_nanoseconds
+from stage.board.native_host import to_nanoseconds
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.chips.chip import MAX_CLOCKS
 from stage.drives import dynamometer

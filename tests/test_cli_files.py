@@ -118,7 +118,7 @@ def test_a_command_whose_standard_streams_are_closed_does_its_work(closed, tmp_p
 
 
 def test_files_do_not_get_the_numbers_of_closed_streams(tmp_path):
-    code = "from stage.cli.terminal_output import open_missing_streams; open_missing_streams(); "
+    code = "from stage.cli.output_and_progress import open_missing_streams; open_missing_streams(); "
     code += "print(open('a', 'w').fileno(), file=open('b', 'w'))"
     command = f"exec {shlex.quote(sys.executable)} -c {shlex.quote(code)} <&- >&- 2>&-"
     subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True, timeout=60)

@@ -15,7 +15,7 @@ from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware
 from stage.chips.write_diagnostics import Cause, Diagnostic
-from stage.cli import build_parser, demo, home, listing, main, move, output_files, stage_setup, terminal_output
+from stage.cli import build_parser, demo, home, listing, main, move, output_and_progress, output_files, stage_setup
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
 from stage.cli.options import NumberWithUnit
@@ -539,9 +539,9 @@ def test_progress_is_printed_on_a_terminal_but_not_in_a_pipe(monkeypatch):
         (io.StringIO(), ""),
     ):
         monkeypatch.setattr("sys.stderr", screen)
-        terminal_output.show_status("writing ...")
+        output_and_progress.show_status("writing ...")
         for done in (0, 0.5, 1.0):
-            terminal_output.show_progress("pull-out", done)
+            output_and_progress.show_progress("pull-out", done)
         assert screen.getvalue() == expected
 
 

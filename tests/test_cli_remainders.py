@@ -9,7 +9,7 @@ from stage.cli import erratum_picture, main, output_files
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstration_plot
 from stage.cli.fault.demonstrations import DEMOS, DemoResult
-from stage.cli.terminal_output import ClosableOutput
+from stage.cli.output_and_progress import ClosableOutput
 
 
 @pytest.mark.parametrize(

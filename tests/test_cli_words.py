@@ -10,7 +10,7 @@ import pytest
 
 from stage import ArgumentError, Stage, firmware
 from stage.chips import CHIPS
-from stage.cli import build_parser, main, terminal_output
+from stage.cli import build_parser, main, output_and_progress
 from stage.cli.argument_parser import Parser
 
 COMMANDS = next(a.choices for a in build_parser()._actions if getattr(a, "choices", None))
@@ -82,16 +82,16 @@ class FakeTerminal(io.StringIO):
 
 def test_a_terminal_displays_the_simulated_time(monkeypatch):
     stage = SimpleNamespace(data=SimpleNamespace(time=1.25))
-    monkeypatch.setattr(terminal_output, "FIRST_UPDATE_S", 0.01)
+    monkeypatch.setattr(output_and_progress, "FIRST_UPDATE_S", 0.01)
     monkeypatch.setattr(sys, "stderr", screen := FakeTerminal())
-    with terminal_output.show_simulated_time(stage):
+    with output_and_progress.show_simulated_time(stage):
         end = time.monotonic() + 20
         while "simulated" not in screen.getvalue() and time.monotonic() < end:
             time.sleep(0.01)
     assert "1.25 s simulated; Ctrl-C ends it" in screen.getvalue()
     assert screen.getvalue().endswith("\r\x1b[K"), "the line is gone at the end"
     monkeypatch.setattr(sys, "stderr", quiet := io.StringIO())
-    with terminal_output.show_simulated_time(stage):
+    with output_and_progress.show_simulated_time(stage):
         time.sleep(0.05)
     assert not quiet.getvalue(), "no terminal, no line"
 

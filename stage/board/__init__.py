@@ -13,7 +13,7 @@ from stage.board.errors import (
     StormError,
 )
 from stage.board.firmware_library import build, get_include_folder
-from stage.board.host import NativeHost, Result
+from stage.board.native_host import NativeHost, Result
 
 __all__ = [
     "LAYOUTS", "Board", "BusTrace", "CompileError", "CompilerWarning", "Cycle", "HostError", "HostTimeout", "Layout",

@@ -24,7 +24,7 @@ from stage.native import address_of, without_attributes
 
 if TYPE_CHECKING:
     from stage.board.board import Board
-    from stage.board.host import Host
+    from stage.board.native_host import Host
 
 BUFFER_SIZE = 1 << 20
 """Bytes of the firmware that a SerialPort keeps for its reader."""

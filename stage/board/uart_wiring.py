@@ -14,7 +14,7 @@ MAX_SEARCHED = 4096
 """Bytes of a line in which datagrams are searched."""
 
 if TYPE_CHECKING:
-    from stage.board.host import Host
+    from stage.board.native_host import Host
 
 
 class ConnectedLine(NamedTuple):

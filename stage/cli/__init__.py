@@ -62,7 +62,7 @@ exit codes: 0 success, 1 the run failed (lost steps, limit switch), 2 wrong usag
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line, and return the exit code."""
-    from stage.cli.terminal_output import run_with_output
+    from stage.cli.output_and_progress import run_with_output
 
     return run_with_output(lambda: _run(argv))
 

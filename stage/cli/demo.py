@@ -8,9 +8,9 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts
+from stage.cli.output_and_progress import show_simulated_time, show_status
 from stage.cli.output_files import record_to_files
 from stage.cli.stage_setup import make_stage
-from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError
 from stage.support.extras import is_installed
 from stage.units import POSITION_UNITS, format_step_count

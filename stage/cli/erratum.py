@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts
 from stage.cli.fault import SAMPLE_INTERVAL_S
+from stage.cli.output_and_progress import show_status
 from stage.cli.output_files import check_outputs, draw_plot, record_for_plot
-from stage.cli.terminal_output import show_status
 from stage.errors import StageError
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import Any
 from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts
 from stage.cli.options import parse_positive_integer
+from stage.cli.output_and_progress import show_simulated_time, show_status
 from stage.cli.output_files import draw_plot, record_to_files
 from stage.cli.stage_setup import find_axis, find_speed_unit, make_stage, parse_speed_options, place_carriage
-from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError, add_article
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts, warn
 from stage.cli.options import DURATION, RATE, TIME
+from stage.cli.output_and_progress import show_simulated_time
 from stage.cli.output_files import draw_plot, record_to_files
 from stage.cli.stage_setup import (
     find_axis,
@@ -20,7 +21,6 @@ from stage.cli.stage_setup import (
     place_carriage,
     split_pair,
 )
-from stage.cli.terminal_output import show_simulated_time
 from stage.errors import ArgumentError, add_article
 
 

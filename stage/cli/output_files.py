@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli.command_interface import add_facts, report_written_file
-from stage.cli.terminal_output import show_status
+from stage.cli.output_and_progress import show_status
 from stage.errors import ArgumentError
 from stage.support.extras import format_install_command, import_extra, is_installed
 

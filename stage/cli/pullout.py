@@ -9,8 +9,8 @@ from typing import Any
 from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts
 from stage.cli.options import VOLTAGE
+from stage.cli.output_and_progress import show_progress
 from stage.cli.output_files import check_outputs, draw_plot
-from stage.cli.terminal_output import show_progress
 
 
 def add_subcommand(commands: Any) -> None:

@@ -7,9 +7,9 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts
+from stage.cli.output_and_progress import show_simulated_time
 from stage.cli.output_files import draw_plot, record_for_plot
 from stage.cli.stage_setup import make_stage, place_carriages
-from stage.cli.terminal_output import show_simulated_time
 
 PLOT_INTERVAL_S = 1e-3
 

@@ -20,10 +20,10 @@ from stage.chips.write_diagnostics import BUS_WRITE, describe_mistakes
 from stage.cli import options, serial_options
 from stage.cli.command_interface import add_command, add_facts, report_written_file, warn
 from stage.cli.options import DURATION, FREQUENCY, TIME, parse_integer
+from stage.cli.output_and_progress import show_simulated_time, show_status
 from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import keep_panel, run_in_real_time, show_panel
 from stage.cli.stage_setup import find_axis, make_board
-from stage.cli.terminal_output import show_simulated_time, show_status
 from stage.errors import ArgumentError, StageError
 from stage.support.axis_value_parsing import split_pair
 from stage.units import POSITION_UNITS, format_step_count

@@ -13,8 +13,8 @@ from typing import Any
 from stage.cli import options
 from stage.cli.command_interface import add_command, add_facts, warn
 from stage.cli.options import MASS
+from stage.cli.output_and_progress import rewrite_line
 from stage.cli.stage_setup import find_axis, make_stage, parse_distance
-from stage.cli.terminal_output import rewrite_line
 from stage.errors import ArgumentError, StageError
 from stage.units import OTHER_FACTORS, POSITION_FACTORS, POSITION_UNITS, parse_quantity
 

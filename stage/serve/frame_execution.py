@@ -17,7 +17,7 @@ from stage.board.bus.request_batch import ENTRY, find_first_invalid, resume_batc
 from stage.board.pin_assignment import DRIVEN, READ, has_line
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client
-from stage.serve.frames import ENTRIES
+from stage.serve.frame_table import ENTRIES
 from stage.sim.stage import Stage
 
 START = "start"

@@ -20,7 +20,7 @@ from stage.board import Board
 from stage.errors import ArgumentError, StageError
 from stage.serve import client
 from stage.serve.frame_execution import BatchError, FrameExecutor, describe_error
-from stage.serve.frames import FRAMES
+from stage.serve.frame_table import FRAMES
 
 MAX_HOSTS, MAX_CONNECTIONS = 16, 64
 """Largest number of connections that have been greeted, and of all open connections."""

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from stage.board.board import Board
 from stage.board.bus.serial_core import LINES
-from stage.board.host import Host
 from stage.board.memory_mapped_ports import Window, parse_windows
+from stage.board.native_host import Host
 from stage.board.pin_assignment import PinLine, parse_wiring
 from stage.board.thread_runner import PATIENCE_S, Program
 from stage.errors import ArgumentError

@@ -19,7 +19,7 @@ from stage.testing.marker_arguments import read_setting
 
 if TYPE_CHECKING:
     from stage.board import Board
-    from stage.board.host import Host
+    from stage.board.native_host import Host
     from stage.sim.stage import Stage
     from stage.testing.ioc_process import IocProcess
 

@@ -23,7 +23,7 @@ from stage.board import (
     crash_report,
     get_include_folder,
 )
-from stage.cli.terminal_output import ClosableOutput
+from stage.cli.output_and_progress import ClosableOutput
 from stage.support.subprocesses import run_program
 
 SHIFT_JIS = "軸を動かす".encode("shift_jis")

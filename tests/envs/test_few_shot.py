@@ -279,7 +279,7 @@ def test_every_action_is_registers_of_every_chip(chip):
     [({}, 0, 0), ({"lost": True, "kept": False}, -0.5, 0), ({"finished": False, "stopped": True}, -0.5, 1)],
 )
 def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage, limits):
-    from stage.envs.single_moves import MoveOutcomes
+    from stage.envs.move_trials import MoveOutcomes
 
     env = make_env(tries=2, proofs=0, damage_weight=0.5)
     env.reset(seed=1)

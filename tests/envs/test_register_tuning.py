@@ -226,7 +226,7 @@ def test_a_shared_name_means_the_body_for_payloads_and_the_site_for_judging():
     ],
 )
 def test_the_reward_of_a_move_is_computed_from_its_result(monkeypatch, finished, lost, vibration, parts, observed):
-    from stage.envs.single_moves import MoveOutcomes
+    from stage.envs.move_trials import MoveOutcomes
 
     created = {"lost_weight": 7.0, "vibration_weight": 0.5, "limit_weight": 3.0, "limit": 0.4}
     env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True, **created).unwrapped

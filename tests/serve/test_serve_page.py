@@ -10,24 +10,24 @@ import pytest
 
 from stage.board import NoCompilerError
 from stage.board.firmware_library import find_compiler
-from stage.serve import frames
+from stage.serve import frame_table
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "serve.md").read_text()
 
 
 def test_the_page_has_the_table_of_frames():
-    assert frames.format_tables() in PAGE, "python -m stage.serve.frames prints it"
+    assert frame_table.format_tables() in PAGE, "python -m stage.serve.frame_table prints it"
 
 
 def test_every_frame_and_entry_is_in_the_table(served):
     from stage.serve import client
 
-    kinds = {frame.kind for frame in frames.FRAMES}
+    kinds = {frame.kind for frame in frame_table.FRAMES}
     assert kinds - set(served.server.machine.handlers) == {client.HELLO, client.RETURN, client.INTERRUPT, client.ERROR}
     assert set(served.server.machine.handlers) <= kinds
-    for frame in frames.FRAMES:
+    for frame in frame_table.FRAMES:
         assert getattr(client, frame.name) == frame.kind
-    for what, name, *_ in frames.ENTRIES:
+    for what, name, *_ in frame_table.ENTRIES:
         assert getattr(client, name) == what
     assert f"{client.MAX_BODY:,} bytes" in PAGE
     assert f"{client.HEAD.size} bytes" in PAGE

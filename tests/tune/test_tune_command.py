@@ -9,7 +9,7 @@ import stage.tune
 from stage import Stage
 from stage.chips import HCTL1100, MCX514
 from stage.cli import main
-from stage.cli.terminal_output import rewrite_line
+from stage.cli.output_and_progress import rewrite_line
 from stage.cli.tune import _SearchProgress, explain_unit, parse_spare
 from stage.errors import ArgumentError
 

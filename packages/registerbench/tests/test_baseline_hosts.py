@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stage.envs
-from registerbench.baselines import few_shot_memory, move_tuning, servo_formula, task_table
+from registerbench.baselines import few_shot_memory_gain, move_tuning, servo_formula, task_table
 from stage import Stage, StageError
 from stage.chips import HCTL1100
 from stage.envs import machine_contexts
@@ -24,13 +24,15 @@ def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(mon
 
 @pytest.mark.slow
 def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
-    fixed, _ = few_shot_memory.play_host(few_shot_memory.make_fixed_host(3.4), "weak", 16, few_shot_memory.TEST)
-    search, times = few_shot_memory.play_host(
-        few_shot_memory.make_searching_host(3.4 / few_shot_memory.STEP), "weak", 16, few_shot_memory.TEST
+    fixed, _ = few_shot_memory_gain.play_host(
+        few_shot_memory_gain.make_fixed_host(3.4), "weak", 16, few_shot_memory_gain.TEST
+    )
+    search, times = few_shot_memory_gain.play_host(
+        few_shot_memory_gain.make_searching_host(3.4 / few_shot_memory_gain.STEP), "weak", 16, few_shot_memory_gain.TEST
     )
     assert (
-        few_shot_memory.compute_interval(search, statistic=np.mean)[0]
-        > few_shot_memory.compute_interval(fixed, statistic=np.mean)[1]
+        few_shot_memory_gain.compute_interval(search, statistic=np.mean)[0]
+        > few_shot_memory_gain.compute_interval(fixed, statistic=np.mean)[1]
     )
     assert np.isfinite(times).mean() > 0.9
 

@@ -163,7 +163,7 @@ def test_processor_time_of_published_curves_increases_and_includes_all_trials(cu
 
 def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_again():
     pytest.importorskip("stable_baselines3")
-    from registerbench.baselines.bus_macros_axis_roles import AXIS_FEATURES, AxisRoles
+    from registerbench.baselines.bus_macros_role_order import AXIS_FEATURES, AxisRoles
 
     env = gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, model="xy", level="axes").unwrapped
     names, macros = [e.name for e in env.observation_features], list(env.macros)

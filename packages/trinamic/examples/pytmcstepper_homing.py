@@ -12,7 +12,7 @@ import types
 from gpiozero import Device
 from gpiozero.pins.mock import MockFactory, MockPin
 
-from pulsestage_trinamic.single_board_host import SingleBoardHost
+from pulsestage_trinamic.single_board_computer_host import SingleBoardHost
 from stage import Drive, Stage, firmware
 
 STEP, DIR, ENABLE, DIAG = 16, 20, 21, 26

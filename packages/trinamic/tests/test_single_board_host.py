@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pulsestage_trinamic.single_board_host import SingleBoardHost
+from pulsestage_trinamic.single_board_computer_host import SingleBoardHost
 from pulsestage_trinamic.tmc2209.uart_port import build_read, build_write
 from stage import Stage
 from stage.errors import ArgumentError

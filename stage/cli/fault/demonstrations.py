@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from stage.cli.fault import SAMPLE_INTERVAL_S, host_programs
-from stage.cli.terminal_output import show_status
+from stage.cli.output_and_progress import show_status
 from stage.errors import unknown_name_error
 from stage.firmware.driver import get_driver
 from stage.units import DEVIATION_UNITS, POSITION_UNITS

@@ -4,7 +4,7 @@ python -m registerbench.baselines.bus_macros_learners learn dqn --seed 0 --level
 python -m registerbench.baselines.bus_macros_learners evaluate runs/target-dqn-0.zip runs/axes-dqn-0.zip
 python -m registerbench.baselines.bus_macros_learners submit runs/target-dqn-0.zip --tasks bus-target -o entries
 
-Both observe the axes by their role (bus_macros_axis_roles.py), so they can apply what they learn on one axis to each.
+Both observe the axes by their role (bus_macros_role_order.py), so they can apply what they learn on one axis to each.
 
 dqn   double DQN with returns of five macros (bus_macros_dqn.py). It raises its exploration rate at each level. The learned
       policy acts by the softmax of its values
@@ -42,8 +42,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.bus_macros_axis_roles import AxisRoles, AxisRolesVecEnv, MixedLevelsVecEnv
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, make_dqn
+from registerbench.baselines.bus_macros_role_order import AxisRoles, AxisRolesVecEnv, MixedLevelsVecEnv
 from registerbench.baselines.learner_support import compute_wilson_interval, make_parser, read_cost
 from registerbench.benchmark_tasks import FIRST_TEST_SEED
 from stage.envs.sb3 import StageVecEnv

@@ -21,7 +21,7 @@ import gymnasium
 import numpy as np
 
 import stage.envs
-from registerbench.baselines.few_shot_memory import compute_interval
+from registerbench.baselines.few_shot_memory_gain import compute_interval
 from stage.envs.step_results import SCORE
 
 TASKS = {id_.split("/")[1].split("-")[0]: id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}

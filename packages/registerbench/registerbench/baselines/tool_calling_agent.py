@@ -27,8 +27,8 @@ from registerbench.baselines.move_tuning import (
 )
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
+from stage.envs.move_trials import MAX_OFFSET_M, TENTH_MM
 from stage.envs.register_tuning import Config
-from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM
 from stage.errors import RunTimeout
 from stage.firmware import ChipPort
 from stage.firmware.pcl240 import chip_port

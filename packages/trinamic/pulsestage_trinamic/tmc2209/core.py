@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 
 from pulsestage_trinamic import load_measurement, motor_field
-from pulsestage_trinamic.tmc2209 import maps, power_stage, registers, state, uart
+from pulsestage_trinamic.tmc2209 import maps, power_stage, register_file, state, uart
 from pulsestage_trinamic.tmc2209.state import INPUTS, OUTPUTS, STATE
 from stage.chips.event_loop import EDGE, PULSE
 from stage.chips.stepdir import step_timer
@@ -56,7 +56,7 @@ def compute_drive_input(c, axis_index, net_before, clocks):
 def power_up(c):
     """Clear registers, step timer and chip; lines and switches stay as the host and the stage drive them."""
     step_timer.clear(c)
-    registers.clear(c)
+    register_file.clear(c)
     uart.clear(c)
 
 
@@ -64,7 +64,7 @@ def power_up(c):
 def peek(c, address):
     """Return the value that a read cycle would find, without its side effects."""
     if address >= maps.REGISTER_BASE:
-        return registers.read_register(c, address - maps.REGISTER_BASE)
+        return register_file.read_register(c, address - maps.REGISTER_BASE)
     if address == maps.UART_BYTE:
         return c.to_host[c.collected % state.QUEUE] if c.collected < c.sent else maps.NO_BYTE
     if address == maps.UART_BIT_NS:
@@ -85,7 +85,7 @@ def read(c, address):
 def write(c, address, value):
     """Make a write cycle."""
     if address >= maps.REGISTER_BASE:
-        registers.write_register(c, address - maps.REGISTER_BASE, value)
+        register_file.write_register(c, address - maps.REGISTER_BASE, value)
     elif address == maps.UART_BYTE:
         uart.send_to_chip(c, value)
     elif address == maps.UART_BIT_NS:
@@ -102,7 +102,7 @@ def write(c, address, value):
 def get_register_value(c, address):
     """Return the value of a register, even if a host cannot read it."""
     if address >= maps.REGISTER_BASE:
-        return registers.get_register_value(c, address - maps.REGISTER_BASE)
+        return register_file.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
 
 
@@ -128,7 +128,7 @@ def set_input(c, axis_index, word):
 @exported("i8", STATE, "i8")
 def read_inputs(c, axis_index):
     """Return the input pins with DIAG and INDEX, which a host reads in the same word as the switches."""
-    return registers.compute_input_word(c)
+    return register_file.compute_input_word(c)
 
 
 @exported("i8", STATE, "i8")

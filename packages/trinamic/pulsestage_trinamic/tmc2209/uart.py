@@ -6,7 +6,7 @@ rate within its range needs no setting; it replies at the same rate.
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc2209 import maps, power_stage, registers, state
+from pulsestage_trinamic.tmc2209 import maps, power_stage, register_file, state
 from stage.native import greatest, hot
 
 BYTE_BITS = 10
@@ -162,9 +162,9 @@ def _execute(c, size, bits, is_of_host):
         c.ifcnt = c.ifcnt + 1 & 0xFF
         if maps.STORED_BITS[register] == 0:
             _note_mistake(c, state.READ_ONLY if maps.IS_READABLE[register] else state.NO_REGISTER, register)
-        registers.write_register(c, register, value)
+        register_file.write_register(c, register, value)
         return
-    _prepare_reply(c, register, registers.read_register(c, register))
+    _prepare_reply(c, register, register_file.read_register(c, register))
     delay = ((c.registers[state.SLAVECONF] >> 9 & 7) * 2 + 1) * 8
     c.replied = 0
     c.replies = c.clock + (delay + BYTE_BITS) * bits

@@ -12,7 +12,16 @@ A read of 83h returns SPI_STATUS, and a read of 84h returns 1 while a drive is i
 from __future__ import annotations
 
 from pulsestage_trinamic import common_power_stage
-from pulsestage_trinamic.tmc5160 import encoder, maps, power_stage, ramp, sequencer, speed_thresholds, stallguard, state
+from pulsestage_trinamic.tmc5160 import (
+    encoder,
+    maps,
+    microstep_sequencer,
+    power_stage,
+    ramp,
+    speed_thresholds,
+    stallguard,
+    state,
+)
 from stage.native import hot
 
 VERSION = 0x30 << 24
@@ -146,7 +155,10 @@ def get_register_value(c, address):
     if address == state.MSCNT:
         return c.mscnt
     if address == state.MSCURACT:
-        return sequencer.get_table_current(c.mscnt) & 0x1FF | (sequencer.get_table_current(c.mscnt + 256) & 0x1FF) << 16
+        return (
+            microstep_sequencer.get_table_current(c.mscnt) & 0x1FF
+            | (microstep_sequencer.get_table_current(c.mscnt + 256) & 0x1FF) << 16
+        )
     if address == state.DRV_STATUS:
         return compute_drv_status(c)
     if address == state.PWM_AUTO:

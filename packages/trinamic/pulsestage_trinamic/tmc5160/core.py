@@ -10,9 +10,9 @@ from pulsestage_trinamic import load_measurement
 from pulsestage_trinamic.tmc5160 import (
     bus,
     encoder,
+    microstep_sequencer,
     power_stage,
     ramp,
-    sequencer,
     speed_thresholds,
     stallguard,
     state,
@@ -109,7 +109,7 @@ def _find_eventful_step(c, stop_flags):
         if ramp.find_requested_direction(c) != c.dir:
             max_steps = least(max_steps, (1 << 31) - n)
     if stallguard.is_measuring(c):
-        max_steps = least(max_steps, sequencer.count_steps_to_full_step(c))
+        max_steps = least(max_steps, microstep_sequencer.count_steps_to_full_step(c))
     limit = c.reg[state.ENC_DEVIATION]
     if limit and not c.enc_flags & encoder.DEVIATION:
         max_steps = least(max_steps, limit - (c.x - c.enc) * c.dir + 1)
@@ -182,7 +182,7 @@ def _advance_by_steps_only(c, speed_change, clocks):
                 low = middle
         c.x = state.to_signed32(c.x + c.dir * k)
         c.reached = 0
-        sequencer.make_steps(c, k, c.clock + high)
+        microstep_sequencer.make_steps(c, k, c.clock + high)
     c.ph = (c.ph + clocks * c.q + speed_change * (clocks * (clocks + 1) // 2)) & (state.PHASE_PER_STEP - 1)
     c.q += speed_change * clocks
     c.clock += clocks

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pulsestage_trinamic import common_power_stage, cool_step, load_measurement
-from pulsestage_trinamic.tmc5160 import power_stage, sequencer, speed_thresholds, state
+from pulsestage_trinamic.tmc5160 import microstep_sequencer, power_stage, speed_thresholds, state
 from stage.native import hot, least
 
 RESULT_PER_SGT, FULL_EMF, UNLOADED_RESULT = 8, 1024, 1023  # model of StallGuard, tmc5160_sheet.md, section 6
@@ -44,7 +44,7 @@ def update_stallguard_and_coolstep(c):
 def make_measured_step(c):
     """Make one step, measure the load if it completes a full step, and return whether a stall stops the motor."""
     before = c.mscnt >> 8
-    sequencer.make_steps(c, 1, c.clock)
+    microstep_sequencer.make_steps(c, 1, c.clock)
     if c.mscnt >> 8 == before or not is_measuring(c):
         return False
     return _measure_load(c)

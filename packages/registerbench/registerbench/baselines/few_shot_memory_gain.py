@@ -1,7 +1,7 @@
 """Worth of memory on an unknown machine with few attempts, measured with hosts that do not learn.
 
-python -m registerbench.baselines.few_shot_memory
-python -m registerbench.baselines.few_shot_memory --splits train heavy weak --machines 64
+python -m registerbench.baselines.few_shot_memory_gain
+python -m registerbench.baselines.few_shot_memory_gain --splits train heavy weak --machines 64
 
 A speed factor b stands for a move with the usual rates times b and the usual ramps divided by b. Three hosts choose it:
 usual    always chooses 1

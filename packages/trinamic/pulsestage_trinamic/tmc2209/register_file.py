@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc2209 import maps, power_stage, state
-from pulsestage_trinamic.tmc5160.sequencer import get_table_current
+from pulsestage_trinamic.tmc5160.microstep_sequencer import get_table_current
 from stage.chips.stepdir.state import DIR, ENABLE, STEP
 from stage.native import hot, least
 

@@ -1,4 +1,4 @@
-"""The table of frames, for docs/serve.md and for authors of clients: `python -m stage.serve.frames` prints it.
+"""The table of frames, for docs/serve.md and for authors of clients: `python -m stage.serve.frame_table` prints it.
 
 The numbers and the sizes are in client.py.
 """
