@@ -29,6 +29,7 @@ from stage.errors import ArgumentError
 from stage.firmware import Axis, Profile
 from stage.firmware.driver import Speeds, get_driver
 from stage.support import portable_math
+from stage.support.argument_checks import explain_arguments
 
 SAFETY_FACTOR = 1.5
 START_RATE_RATIO = 0.125  # start rate (FL) as a fraction of the pull-in rate
@@ -125,8 +126,16 @@ class Load:
         return unloaded / float(np.sqrt(self.inertia_at_rotor / self.drive.motor.rotor_inertia))
 
 
+@explain_arguments
 def compute_top_speed(axis: Axis) -> float:
-    """Compute the highest speed of an axis, m/s (rad/s): that of its chip, or of its motor against friction and weight."""
+    """Compute the highest speed of an axis: that of its chip, or of its motor against friction and weight.
+
+    Args:
+        axis: Axis of a Stage.
+
+    Returns:
+        The speed, m/s (rad/s for a rotary axis).
+    """
     load = Load.from_axis(axis)
     top = get_driver(axis).max_rate / load.pulses_per_metre
     speeds = np.linspace(0.0, min(top, MAX_ROTOR_SPEED_RAD_S / load.gear), SPEED_SAMPLES + 1)[1:]
