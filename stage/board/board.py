@@ -327,7 +327,7 @@ class Board:
                 wide = device.width == 16
                 rows[port] = (DEVICE, k, n // 2 if wide else n, EIGHT if not wide else UPPER if n % 2 else WIDE)
         self.regions, self.port_table = bus_layouts.make_port_table(self.places, rows)
-        self.link.publish_ports()
+        self.link.write_port_table()
 
     def _find_free_port(self, n: int) -> int:
         """Return the first of `n` consecutive free ports."""

@@ -99,7 +99,7 @@ class Link:
             ("userdata", words), ("before", self._before),
         ):  # fmt: skip
             h[name] = array.ctypes.data
-        self.publish_ports()
+        self.write_port_table()
         h["edge_room"], h["trace_capacity"], h["words"] = len(stage.state.edges), self.board.trace.capacity, len(words)
         h["until"] = h["max_cycles"] = UNBOUNDED
         h["journals"] = 1
@@ -107,7 +107,7 @@ class Link:
         h["serial"] = self.board.serial_lines.address
         h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
 
-    def publish_ports(self) -> None:
+    def write_port_table(self) -> None:
         """Pass the table of ports to compiled code."""
         board, h = self.board, self.record
         h["regions"], h["ports"] = board.regions.ctypes.data, board.port_table.ctypes.data

@@ -121,7 +121,9 @@ def name_serial_line(number: int) -> str:
 def find_unconnected_outputs(
     texts: Iterable[str], lines: Iterable[PinLine], chips: Mapping[str, Chip]
 ) -> tuple[tuple[str, str], ...]:
-    """Find outputs of power stages and UARTs of chips that are at no pin, and that the texts do not take out as x.diag=none does.
+    """Find outputs of power stages and UARTs of chips that no pin is assigned to.
+
+    An output that a text leaves open on purpose, as x.diag=none does, is not among them.
 
     Args:
         texts: The texts that `parse_pins` has parsed.

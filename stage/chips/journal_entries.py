@@ -114,7 +114,7 @@ class Entries(Sequence[Entry]):
         self._words.extend((clock, kind | axis << AXIS, a, b))
 
     def extend(self, packed: np.ndarray) -> None:
-        """Append PACKED records."""
+        """Append entries given as records of the dtype PACKED."""
         self._words.frombytes(packed.tobytes())
 
     def packed(self) -> np.ndarray:

@@ -105,7 +105,7 @@ def make_pc_registers(cpu: Any) -> DebugRegisters:
 
 
 class DebugServer:
-    """Server for one debugger in each run.
+    """GDB server of a processor on Unicorn; one debugger may connect in each run.
 
     Args:
         engine: The UnicornProcessor to debug.

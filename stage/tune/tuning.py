@@ -167,7 +167,7 @@ def _prove_formula(runner: MoveRunner, planner: MovePlanner, cases: ProofCases) 
     tested, proved = list(cases.formula), None
     while True:
         try:
-            choice, plan, time_limit = _find_formula_plan(runner, planner, tested)
+            choice, plan, time_limit = _find_first_passing_formula_plan(runner, planner, tested)
         except StageError:
             if proved is None:
                 raise
@@ -231,7 +231,9 @@ def _estimate_time_limit(task: Task, plan: MovePlan) -> float:
     return 2.0 * (task.pulses / speeds.drive + speeds.up + speeds.down) + 0.3 + task.hold
 
 
-def _find_formula_plan(runner: MoveRunner, planner: MovePlanner, cases: Any) -> tuple[FormulaChoice, MovePlan, float]:
+def _find_first_passing_formula_plan(
+    runner: MoveRunner, planner: MovePlanner, cases: Any
+) -> tuple[FormulaChoice, MovePlan, float]:
     """Find the first of FORMULA_CHOICES with which the formula's plan passes all cases.
 
     Args:

@@ -107,7 +107,7 @@ def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
         follower = leader.copy()
         follower[:7], follower[7] = np.maximum(leader[:7] * off, 2), 80
         lead = rng.choice((0.0, 1e-4))
-        distance = follower_register_search.estimate_line_distance(leader, 4_915_200, follower, 4_915_200, lead, work)
+        distance = follower_register_search.estimate_follower_error(leader, 4_915_200, follower, 4_915_200, lead, work)
         if n % 10 == 0:
             short.append(distance / compute_max_deviation(leader, follower, lead))
         assert distance > compute_max_deviation(leader, follower, lead, corners=True) - 1e-6

@@ -398,7 +398,7 @@ def compute_closed_forms():
             emulated_preset_move.compute_ramp_down_offset(r, chip),
         ]  # fmt: skip
         if leader is not None and leader[0] >= size:
-            results[f"{k} follows"] = follower_register_search.estimate_line_distance(
+            results[f"{k} follows"] = follower_register_search.estimate_follower_error(
                 leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work
             )
         if leader is None or k % 6 == 0:

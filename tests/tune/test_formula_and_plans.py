@@ -146,7 +146,9 @@ def task():
 
 
 def find_formula_plan(planner):
-    return tuning._find_formula_plan(planner, planner, planner.task.build_corner_cases(np.random.default_rng(0), 2))
+    return tuning._find_first_passing_formula_plan(
+        planner, planner, planner.task.build_corner_cases(np.random.default_rng(0), 2)
+    )
 
 
 def test_the_safety_factor_rises_until_the_formula_keeps_step(task):

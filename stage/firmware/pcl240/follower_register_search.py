@@ -377,7 +377,7 @@ def fit_decelerations(
 
 
 @exported("f8", ROW_TYPE, "i8", ROW_TYPE, "i8", "f8", WORK_DTYPE)
-def estimate_line_distance(leader, leader_clock_hz, row, clock_hz, lead, work):
+def estimate_follower_error(leader, leader_clock_hz, row, clock_hz, lead, work):
     """Estimate the largest distance of a follower from the line, in its pulses.
 
     Args:

@@ -446,7 +446,7 @@ def _evaluate_rows(distances: dict[str, int], rows: dict, kinds: dict, automatic
         squares, work = 0.0, np.zeros(1, follower_register_search.WORK_DTYPE)
         for n in order[:-1]:
             squares += (
-                follower_register_search.estimate_line_distance(
+                follower_register_search.estimate_follower_error(
                     rows[leader], axes[leader].clock_hz, rows[n], axes[n].clock_hz, lead[n], work
                 )
                 ** 2

@@ -344,7 +344,7 @@ class Profile:
 
     @property
     def _down_span(self) -> int | None:
-        """Speed steps of each curved end of the ramp down; None for a linear ramp."""
+        """Number of speed steps in each curved end of an S-curve ramp down; None for a linear ramp."""
         return self.spans[1] if self.spans else None
 
     @property

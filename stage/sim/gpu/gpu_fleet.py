@@ -263,11 +263,11 @@ def make_kernels(stage: Stage, layout: LaneLayout, tools: CompilerTools) -> tupl
         tools: Functions that compile for the device.
     """
     sizes = (layout.lanes, layout.axes, layout.switches, stage.state.bus, bool(stage.state.clockwork["encoders"][0]))
-    return _compile_kernels(stage.chips[0].CORE, sizes, tools)
+    return _compile_lane_kernels(stage.chips[0].CORE, sizes, tools)
 
 
 @cache
-def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: CompilerTools) -> tuple[Any, Any]:
+def _compile_lane_kernels(core: ModuleType, sizes: tuple[int, ...], tools: CompilerTools) -> tuple[Any, Any]:
     """Compile the kernels for chips of one family, with arrays of the given sizes on each thread's stack."""
     lanes, axes, switches, bus, encoders = sizes
     state = vars(core)["STATE"]
