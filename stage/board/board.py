@@ -330,7 +330,7 @@ class Board:
         self.link.write_port_table()
 
     def _find_free_port(self, n: int) -> int:
-        """Return the first of `n` consecutive free ports."""
+        """Return the first of `n` consecutive ports that reach no chip or device."""
         return (max(self.ports) + 16) & ~15 if max(self.ports) + n + 16 <= host_record.LAST_PORT else 0
 
     # --- what has happened ---
@@ -434,7 +434,7 @@ class Board:
         self.log.append((self.stage.time, text))
 
     def _check_log_lines(self, lines: int) -> None:
-        """Raise HostError if a log with this number of lines is full."""
+        """Raise HostError if a log with this number of lines has no room for another."""
         if lines >= MAX_LOG_LINES:
             raise HostError(
                 f"{MAX_LOG_LINES:,} lines were noted by ps_log, and a log keeps no more (now {self.stage.time:.6f} s): a loop "

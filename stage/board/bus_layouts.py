@@ -196,7 +196,7 @@ def make_port_table(
     rows: dict[int, tuple[int, int, int, int]] = dict(others or {})
 
     def put(port: int, kind: int, chip: int, address: int, mask: int) -> None:
-        """Store what a port reaches. Raises ArgumentError if the port is taken or does not exist."""
+        """Store what a port of the bus reaches. Raises ArgumentError if the port is taken or does not exist."""
         if kind == NOTHING:
             return
         if port > LAST_PORT:
@@ -280,7 +280,7 @@ def read_layout(path: str | os.PathLike) -> Layout:
 
 
 def _parse_layout(name: str, content: Mapping[str, Any]) -> Layout:
-    """Return the layout that the keys of a file describe."""
+    """Return the bus layout that the keys of a file describe."""
     for key in content:
         if key not in KEYS:
             raise unknown_name_error("key", key[:MAX_SHOWN], KEYS)
@@ -317,7 +317,7 @@ def _parse_start(name: str, content: Mapping[str, Any]) -> Layout:
 
 
 def _parse_ports(key: str, texts: Any, chip: type[Chip]) -> tuple[tuple[int, int], ...]:
-    """Return what each port of a list reaches, from its words."""
+    """Return what each port of a layout's list reaches, (kind, address), from its words."""
     if not isinstance(texts, list):
         raise ArgumentError(
             f"{key} = {texts!r:.{MAX_SHOWN}}: a list of what each port reaches. Write for example: {EXAMPLE}"
@@ -366,7 +366,7 @@ def _parse_port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
 
 
 def _parse_number(content: Mapping[str, Any], key: str, default: int, low: int, high: int) -> int:
-    """Return a number of a file, within `low` to `high`."""
+    """Return the number under a key of a layout file, which must lie within `low` to `high`."""
     value = content.get(key, default)
     try:
         number = int(value, 0) if isinstance(value, str) else value

@@ -105,7 +105,7 @@ class CompiledObjectCache:
         return self._show(description["message"])
 
     def _store(self, target: Path, output: Path, dependencies: Path, message: str) -> None:
-        """Store an object file with the digests of all files that it was made from."""
+        """Store an object file in the cache, with the digests of all source files that it was made from."""
         text = (
             dependencies.read_text(encoding="utf-8", errors="surrogateescape").partition(": ")[2].replace("\\\n", " ")
         )
@@ -121,18 +121,18 @@ class CompiledObjectCache:
         part.replace(target.with_suffix(".json"))
 
     def _remove_oldest(self) -> None:
-        """Remove the oldest third of the files if there are too many."""
+        """Remove the oldest third of the cached object files if there are too many."""
         assert self._folder is not None
         files = [(entry.stat().st_mtime, entry.path) for entry in os.scandir(self._folder)]
         for _, path in sorted(files)[: len(files) // 3] if len(files) > MAX_FILES else ():
             Path(path).unlink(missing_ok=True)
 
     def _hide(self, text: str) -> str:
-        """Replace the temporary folder in a text."""
+        """Replace the path of the temporary build folder in a compiler's text by a placeholder."""
         return text.replace(self._temporary, TEMPORARY)
 
     def _show(self, text: str) -> str:
-        """Insert the temporary folder into a text of the cache."""
+        """Insert the path of the temporary build folder into a compiler's text from the cache."""
         return text.replace(TEMPORARY, self._temporary)
 
 
@@ -143,5 +143,5 @@ def _describe_compiler(compiler: str) -> str:
 
 
 def _digest(path: Path) -> str:
-    """Return the digest of a file's content."""
+    """Return the digest (a hexadecimal text) of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

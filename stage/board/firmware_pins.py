@@ -52,7 +52,7 @@ _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
 
 
 class FirmwareUse(NamedTuple):
-    """Use of pins by firmware.
+    """Pins that firmware has read and driven, as counted while it ran.
 
     Attributes:
         pins: PIN_USE record.
@@ -117,7 +117,7 @@ def check_board_pins(lines: Sequence[PinLine], board_pins: Sequence[int]) -> Non
 
 
 def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
-    """Return the LINE records of the lines, sorted by chip."""
+    """Return the LINE records of the lines of axes that are connected to firmware pins, sorted by chip."""
     table = np.zeros(len(lines), LINE)
     for place, (row, line) in enumerate(zip(table, lines, strict=True)):
         chip = stage.axes[line.axis].chip

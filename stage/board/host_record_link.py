@@ -74,7 +74,7 @@ class Link:
 
     @property
     def traced(self) -> int:
-        """Number of trace lines so far."""
+        """Number of lines that the bus trace has got so far."""
         return int(self.record["traced"])
 
     def _make_record(self) -> None:
@@ -148,7 +148,7 @@ class Link:
         return sum(1 << k for k, chip in enumerate(self.stage.chips) if chip.glitches)
 
     def end_run(self) -> None:
-        """Pass the edges, bus cycles and samples that compiled code has recorded to journals and recording."""
+        """Pass the edges, bus cycles and samples that compiled code has recorded to the journals and the recording."""
         stage, h = self.stage, self.record
         if n := int(h["noted"]):
             h["noted"] = 0
@@ -158,7 +158,7 @@ class Link:
             h["filled"] = recording.filled
 
     def journal_edges(self, count: int) -> None:
-        """Pass the first `count` recorded edges and cycles to journals and diagnostics."""
+        """Pass the first `count` edges and bus cycles that compiled code has recorded to journals and diagnostics."""
         self.stage.loop.journal_edges(count)
         for chip in self.stage.chips:
             if chip.journal_lint is not None:
@@ -223,7 +223,7 @@ class Link:
             raise error
 
     def set_error(self, error: BaseException) -> None:
-        """Store an exception, and stop the bus until it is raised."""
+        """Store an exception raised in a call from compiled code, and stop the bus until it is raised."""
         self.record["stopped"] = 1
         if self.error is None:
             self.error = error
@@ -274,7 +274,7 @@ class Link:
             self.pause()
 
     def _handle_call(self, reason: int) -> None:
-        """Call the method that serves the reason of a call."""
+        """Call the method that serves the reason for which compiled code has called Python."""
         self.calls += 1
         try:
             self.end_run()
@@ -296,11 +296,11 @@ class Link:
         self.stage.run_to(int(h["call_value"]))
 
     def _report_storm(self, h: Any) -> None:
-        """Raise StormError for a hook that does not clear its interrupt."""
+        """Raise StormError for an interrupt hook that does not clear its interrupt and so would be called forever."""
         raise StormError(f"{self.hooks.describe_storm(int(h['call_value']))}\n{self.board.trace.text(8)}")
 
     def _report_refusal(self, h: Any) -> None:
-        """Raise HostError for a request that makes no sense."""
+        """Raise HostError for a host request whose operands are out of range."""
         raise HostError(self.hooks.describe_refusal(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"])))
 
     def _report_collision(self, h: Any) -> None:
@@ -328,7 +328,7 @@ class Link:
         time.sleep(THREAD_WAIT_S)
 
     def _note_line(self, h: Any) -> None:
-        """Add a line of the firmware to the log."""
+        """Add a line that the firmware has printed by ps_log to the log."""
         if not h["call_value"]:
             raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
         self.board.add_log_line(ctypes.string_at(int(h["call_value"])).decode(errors="replace"))
@@ -347,7 +347,7 @@ class Link:
             raise
 
     def _trace_failure(self, index: int, register: int, kind: int, value: int) -> None:
-        """Append the cycle in which a device in Python has failed to the trace."""
+        """Append the bus cycle in which a device in Python has raised an error to the trace."""
         h, buffer, reads = self.record, self.board.trace.buffer, kind in (host_record.IN8, host_record.IN16)
         now = self.stage.now + int(h["ahead"])
         data = (0xFF if kind == host_record.IN8 else 0xFFFF) if reads else value
@@ -357,7 +357,7 @@ class Link:
         h["changed"] = h["traced"]
 
     def _answer_window_request(self, h: Any) -> None:
-        """Map a window that the firmware requests, or refuse an access to a window that is no bus cycle."""
+        """Map a memory window that the firmware requests, or refuse an access to a window that is no bus cycle."""
         what, a, b = (int(h[name]) for name in ("call_chip", "call_value", "call_address"))
         if self.windows is None:
             raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing_windows(isolated=False)}")

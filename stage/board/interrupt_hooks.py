@@ -64,7 +64,7 @@ class PythonInterruptHooks:
     def set_hook(
         self, source: int, function: Callable[[], None] | None, interrupt_mask: int = 0, level: int = 1, period: int = 0
     ) -> None:
-        """Set the hook of a source to a function in Python, or remove it.
+        """Set the hook of an interrupt source to a function in Python, or remove it.
 
         Args:
             source: Index of the source.
@@ -99,7 +99,7 @@ class PythonInterruptHooks:
         self.update_interrupts()
 
     def point_to_python(self, functions: Collection[int], keep: bool = False) -> None:
-        """Let the sources with hooks in Python call these hooks.
+        """Let the interrupt sources with hooks in Python call these hooks.
 
         Args:
             functions: Indices of those sources.
@@ -116,7 +116,7 @@ class PythonInterruptHooks:
         self.update_interrupts()
 
     def call_hook(self, source: int) -> None:
-        """Call the hook in Python of a source, at the highest level."""
+        """Call the Python hook of an interrupt source, at the highest interrupt level."""
         h, loop = self._link.record, self._link.stage.loop
         before, keeps = (h["level"], h["lazy"]), loop.state_refusal
         h["level"], h["lazy"] = interrupt_controller.HIGHEST, 0
@@ -148,7 +148,7 @@ class PythonInterruptHooks:
     # --- errors in words ---
 
     def describe_storm(self, source: int) -> str:
-        """Explain which hook is called again and again, and why."""
+        """Explain which interrupt hook is called again and again, and why."""
         at = f"at {self._link.stage.time:.6f} s"
         if source < 0:
             return (
@@ -168,7 +168,7 @@ class PythonInterruptHooks:
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
     def describe_refusal(self, code: int, a: int, b: int) -> str:
-        """Explain which operand of a request is out of range.
+        """Explain which operand of a host request about interrupts is out of range.
 
         Args:
             code: Code of the request, | WRONG_LEVEL if its level is out of range.

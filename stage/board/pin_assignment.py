@@ -204,7 +204,7 @@ def _check_pin_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
 
 
 def _check_pins(lines: Iterable[PinLine]) -> None:
-    """Raise ArgumentError if a pin is used for two lines that cannot share it."""
+    """Raise ArgumentError if a pin is assigned to two lines of axes that cannot share it."""
     users: dict[str, PinLine] = {}
     for line in lines:
         other = users.setdefault(line.pin, line)
@@ -262,7 +262,7 @@ class WiringFinding(NamedTuple):
 
 
 class PinUse(NamedTuple):
-    """Use of a line's pin by a program.
+    """Use of the pin to which an axis' line is connected, by a program.
 
     Attributes:
         line: The line.
@@ -281,7 +281,7 @@ class PinUse(NamedTuple):
 def find_wiring_findings(
     uses: Sequence[PinUse], others: Mapping[str, int], chips: Mapping[str, Chip]
 ) -> tuple[WiringFinding, ...]:
-    """Return the signs that lines of axes are at the wrong pins of a program.
+    """Return the signs that lines of axes are connected to the wrong pins of a program.
 
     A pin for a lamp or a relay has few edges, and a STEP pin has many. So a pin without a line counts as a STEP pin in the wrong
     place if it rose MIN_RISES times as often as the line that it is compared with.
@@ -357,7 +357,7 @@ def _find_step_finding(
 
 
 def _describe_input(use: PinUse) -> str:
-    """Describe, as a sentence, a line at a pin that the program sets high, but leaves an input."""
+    """Describe, as a sentence, a line of an axis at a pin that the program sets high, but leaves an input."""
     return f"{use} is an input: the program sets it high, but does not make it an output, as pinMode does."
 
 

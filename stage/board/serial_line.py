@@ -95,7 +95,7 @@ class SerialLine:
 
     @property
     def free(self) -> int:
-        """Number of bytes that can be fed now."""
+        """Number of bytes that `feed` accepts now."""
         return ROOM - self._count_bytes("fed", "removed")
 
     def read_byte_ns(self) -> int:
@@ -143,7 +143,7 @@ class UartLine:
 
     @property
     def free(self) -> int:
-        """Number of bytes that can be fed now."""
+        """Number of bytes that `feed` accepts now."""
         return self._uart.free
 
     def feed(self, content: bytes) -> None:
@@ -167,11 +167,11 @@ class SerialEnd(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """True when this end has nothing more to do, and the run ends."""
+        """True when this end of the serial line has nothing more to do, so that the run of the firmware ends."""
         ...
 
     def exchange(self, sent: bytes, now: int, room: int) -> bytes:
-        """Take bytes that the firmware has sent, and return bytes for it.
+        """Take bytes that the firmware has sent over the serial line, and return bytes for the firmware.
 
         Args:
             sent: Bytes of the firmware since the last call.
@@ -185,7 +185,7 @@ class SerialEnd(Protocol):
         ...
 
     def close(self) -> None:
-        """Close what this end has opened."""
+        """Close what this end of the serial line has opened."""
         ...
 
 
@@ -275,7 +275,7 @@ class SerialPort:
         kind = compiled.pattern
 
         def search() -> re.Match[AnyStr] | None:
-            """Return the match in the bytes received so far, or None."""
+            """Return the match of the regular expression in the bytes received so far, or None."""
             return compiled.search(from_bytes(bytes(self._unread), kind))
 
         self._run_until(search, timeout, repr(kind))
@@ -287,7 +287,7 @@ class SerialPort:
     # --- for the host and its commands ---
 
     def connect(self, end: SerialEnd) -> None:
-        """Connect another end to the line, instead of Python.
+        """Connect another end, such as a pseudo-terminal, to the serial line, instead of Python.
 
         Raises:
             StageError: The firmware has no serial line, or the line has another end.
@@ -312,7 +312,7 @@ class SerialPort:
 
     @property
     def is_satisfied(self) -> bool:
-        """True when the other end has what it waited for, and the run ends."""
+        """True when the other end of the serial line has what it waited for, so that the run of the firmware ends."""
         return (self._find is not None and bool(self._find())) or (self._end is not None and self._end.is_over)
 
     def exchange(self) -> int:
@@ -357,7 +357,7 @@ class SerialPort:
         return bytes(self._unread)
 
     def disconnect(self) -> None:
-        """Remove the end that is connected; Python is the other end again."""
+        """Remove the end that is connected to the serial line; Python is the other end again."""
         self._end = None
 
     # --- inside ---

@@ -57,7 +57,7 @@ class ConnectedEnd(SerialEnd):
         self._was_connected = False
 
     def choose_next_exchange(self, now: int) -> int:
-        """Return the time of the stage (ns) of the next exchange."""
+        """Return the time of the stage (ns) at which bytes are exchanged with the connected program next."""
         return now + EXCHANGE_NS
 
     def exchange(self, sent: bytes, now: int, room: int) -> bytes:
@@ -132,7 +132,7 @@ class PtyEnd(ConnectedEnd):
         self.path = str(link)
 
     def describe(self) -> str:
-        """Describe how programs connect."""
+        """Describe in words how programs connect to the pseudo-terminal."""
         return self.path
 
     def _is_connected(self) -> bool:
@@ -193,7 +193,7 @@ class TcpEnd(ConnectedEnd):
         self.port = int(self._listener.getsockname()[1])
 
     def describe(self) -> str:
-        """Describe how programs connect."""
+        """Describe in words how programs connect to the TCP port."""
         return f"{LOCALHOST}:{self.port}"
 
     def _is_connected(self) -> bool:

@@ -36,7 +36,7 @@ COMMANDS = ("send", "expect", "wait", "at", "timeout")
 
 @dataclass(frozen=True)
 class ScriptCommand:
-    """One command of a script.
+    """One command of a serial script, which sends or expects bytes on a serial line.
 
     Attributes:
         line: Number of its line in the file.
@@ -68,7 +68,7 @@ def read_script(path: str | os.PathLike) -> SerialScript:
 
 
 def parse_command(name: str, number: int, line: str) -> ScriptCommand | None:
-    """Parse a line of a script; return None for an empty line or a comment.
+    """Parse a line of a serial script; return None for an empty line or a comment.
 
     Args:
         name: Name of the script, for errors.
@@ -97,7 +97,7 @@ def parse_command(name: str, number: int, line: str) -> ScriptCommand | None:
 
 
 def _parse_text(place: str, word: str, rest: str) -> bytes:
-    """Return the bytes of a text, which may be quoted."""
+    """Return the bytes of a text in a serial script, which may be quoted."""
     if rest[:1] not in ('"', "'"):
         if not rest and word == "expect":
             raise ArgumentError(f"{place}: what is expected? For example: expect ok")

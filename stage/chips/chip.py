@@ -52,7 +52,7 @@ class Bus(Protocol):
     """Interface of the stage or test bench that a chip belongs to, and that advances the chip's clock."""
 
     def cycle(self) -> None:
-        """Let the time of one bus cycle pass."""
+        """Let the time of one bus cycle pass; a chip calls this before it executes the cycle."""
 
     def ensure_powered(self) -> None:
         """Power the chips up again if MuJoCo has cleared their state; call it before a state is read between bus cycles."""
@@ -713,7 +713,7 @@ class Chip(DeclaredAttributes):
         return out
 
     def _trace_piece(self, until: int) -> np.ndarray:
-        """Run up to a clock and return the pulses. A copy of the state runs first, to count the pulses."""
+        """Run the chip up to a clock and return the pulses. A copy of the state runs first, to count the pulses."""
         out = np.zeros(self.CORE.advance(self._rows[self._i : self._i + 1].copy(), until), self.CORE.PULSE)
         self.CORE.trace_pulses.c(self.pointer, until, out.ctypes.data, len(out))
         return out

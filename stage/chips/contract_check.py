@@ -86,7 +86,7 @@ def _list_fields(dtype: np.dtype) -> Iterator[str]:
 
 
 def _check_class(chip: Any) -> list[str]:
-    """List what is wrong with the attributes of a class."""
+    """List the problems of a chip class's attributes, in words."""
     return _find_missing_attributes(chip) or [*_check_pins(chip), *_check_map(chip.MAP), *_check_class_numbers(chip)]
 
 
@@ -138,7 +138,7 @@ def _is_positive_integer(number: Any) -> bool:
 
 
 def _is_pair(value: Any, first_type: type) -> bool:
-    """Return whether a value is a tuple of something of type `first_type` and an integer."""
+    """Return whether a value is a tuple of two: an object of type `first_type` and an integer."""
     return (
         isinstance(value, tuple)
         and [isinstance(v, k) for v, k in zip(value, (first_type, int), strict=False)] == [True] * 2
@@ -146,7 +146,7 @@ def _is_pair(value: Any, first_type: type) -> bool:
 
 
 def _check_pins(chip: Any) -> list[str]:
-    """List what is wrong with the input and output pins of a chip class."""
+    """List the problems of a chip class's input and output pins, in words."""
     problems = []
     if twice := {name for name in chip.INPUTS if name in chip.OUTPUTS}:
         problems.append(f"pin {', '.join(sorted(twice))} is an input and an output")
@@ -164,7 +164,7 @@ def _check_pins(chip: Any) -> list[str]:
 
 
 def _check_map(map_: RegisterMap) -> list[str]:
-    """List what is wrong with the register map of a chip class."""
+    """List the problems of a chip class's register map, in words."""
     problems, names = [], [r.name for r in map_.registers]
     problems += [f"its MAP has two registers {name}" for name in dict.fromkeys(names) if names.count(name) > 1]
     for r in map_.registers:
@@ -218,7 +218,7 @@ def _check_methods(chip: Any, base: Any) -> list[str]:
 
 
 def _check_core(core: Any, chip: Any) -> list[str]:
-    """List what is wrong with the records and functions of a core."""
+    """List the problems of the records and functions of a chip's core, in words."""
     if core is None:
         return []
     return _find_missing_records(core) or [*_check_state(core), *_check_functions(core, chip)]
@@ -237,7 +237,7 @@ def _find_missing_records(core: Any) -> list[str]:
 
 
 def _check_state(core: Any) -> list[str]:
-    """List what is wrong with the dtype STATE of a core."""
+    """List the problems of the dtype STATE of a chip's core, in words."""
     problems = []
     for name in (n for n in _list_fields(core.STATE) if hasattr(np.record, n)):
         problems.append(

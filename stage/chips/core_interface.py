@@ -121,7 +121,7 @@ def find_stage_axis(chip, axis_index):
 
 @hot
 def read_clock(chip):
-    """Return the reference clocks since power-up."""
+    """Return the reference clocks of the chip since power-up."""
     return array_at(chip.at, 1, CLOCK)[0].clock
 
 
@@ -133,7 +133,7 @@ def run(chip, until):
 
 @hot
 def run_window(chip, first_slice):
-    """Let the chip run through the slices of a window from slice `first_slice` on. Its pins do not change meanwhile.
+    """Run the chip through the slices of a window (the time of one physics step) from slice `first_slice` on, with constant pins.
 
     A window is the chip time that one physics step covers, a slice an eighth of it. The mean pulse count of each slice and the net
     pulse count go to the addresses in the chip's CHIP_AXIS records.
@@ -155,7 +155,7 @@ def compute_slice_end(slice_end, window_begin, begin_fraction):
 
 @hot
 def run_slices(chip_state, row_address, first_slice, run, read_net, compute_input):
-    """Run the rest of a window slice by slice. This implements `run_window` for cores without a faster way.
+    """Run the rest of a window (the chip time of one physics step) slice by slice.
 
     Args:
         chip_state: State of the chip.
@@ -272,7 +272,7 @@ def read_wire_word(chip):
 
 @hot
 def set_wire_word(chip, word):
-    """Pass the chip a new word from the wires between chips: levels, a number, and a count of pulses."""
+    """Pass the chip a new wire word, which linked chips exchange: levels, a number, and a count of pulses."""
     _set_wire_word(chip.set_wire_word, (chip.at, word))
 
 
@@ -315,19 +315,19 @@ def read_counter(chip, axis_index):
 
 @hot
 def read_inputs(chip, axis_index):
-    """Return the input pins as a word."""
+    """Return the input pins of a chip's axis as a word."""
     return _word(chip.read_inputs, (chip.at, axis_index))
 
 
 @hot
 def set_input(chip, axis_index, word):
-    """Set the input pins."""
+    """Set the input pins of a chip's axis from a word."""
     _set(chip.set_input, (chip.at, axis_index, word))
 
 
 @hot
 def read_outputs(chip, axis_index):
-    """Return the output pins as a word."""
+    """Return the output pins of a chip's axis as a word."""
     return _word(chip.read_outputs, (chip.at, axis_index))
 
 
@@ -346,13 +346,13 @@ def update_wired_input(chip):
 
 @hot
 def read_status(chip, axis_index):
-    """Return the status word."""
+    """Return the status word of a chip's axis."""
     return _word(chip.read_status, (chip.at, axis_index))
 
 
 @hot
 def is_busy(chip, axis_index):
-    """Return whether a drive is in progress."""
+    """Return whether an axis of the chip has a drive in progress."""
     return _word(chip.is_busy, (chip.at, axis_index))
 
 

@@ -74,7 +74,7 @@ class Decoder:
     """
 
     def decode(self, entries: Iterable[Entry]) -> list[Statement]:
-        """Decode further entries.
+        """Decode further entries of a journal.
 
         Args:
             entries: Entries of a journal, after those of earlier calls.
@@ -119,7 +119,7 @@ class Decoder:
         raise NotImplementedError
 
     def reset(self) -> None:
-        """Forget all writes, because the reset pin was asserted."""
+        """Forget the writes that wait for later ones, because the reset pin of the chip was asserted."""
 
 
 def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Statement]:

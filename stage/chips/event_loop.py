@@ -57,20 +57,20 @@ def make_event_functions(
 
     @export_from(core, None, state, "i8")
     def run(chip: Any, until: int) -> None:
-        """Let the clock run up to `until`."""
+        """Let the chip's clock run up to clock `until`."""
         while advance_to_event(chip, until):
             pass
 
     @export_from(core, "i8", state, "i8")
     def advance(chip: Any, until: int) -> int:
-        """Let the clock run up to `until`, and return the number of pulses."""
+        """Let the chip's clock run up to clock `until`, and return the number of pulses."""
         before = count_pulses(chip)
         run(chip, until)
         return greatest(0, count_pulses(chip) - before)
 
     @export_from(core, "i8", state, "i8", array_of(PULSE))
     def trace_pulses(chip: Any, until: int, pulses: Any) -> int:
-        """Let the clock run up to `until`, write each pulse into `pulses`, and return their number."""
+        """Let the chip's clock run up to clock `until`, write each pulse into `pulses`, and return their number."""
         k, before = 0, count_pulses(chip)
         while advance_to_event(chip, until):
             if count_pulses(chip) > before:
@@ -97,7 +97,7 @@ def _make_scan_functions(
 
     @export_from(core, None, state, "i8", array_of(EDGE), "i8")
     def write_present_edge(chip: Any, axis_index: int, edges: Any, edge_index: int) -> None:
-        """Write the present state of the axis into EDGE record `edge_index`."""
+        """Write the present state of the chip's axis into EDGE record `edge_index`."""
         e = edges[edge_index]
         e.clock, e.inputs, e.outputs = chip.clock, read_inputs(chip, 0), read_outputs(chip, 0)
         e.counter, e.net = read_counter(chip, 0), read_net_count(chip, 0)

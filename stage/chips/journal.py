@@ -68,11 +68,11 @@ class Journal:
         self.entries = Entries()
 
     def note_write(self, clock: int, address: int, value: int) -> None:
-        """Note a bus write cycle."""
+        """Note in the journal a bus write cycle that the chip received."""
         self._append_entry(clock, WRITE, address, value)
 
     def note_lost_write(self, clock: int, address: int, value: int) -> None:
-        """Note a write that did not arrive."""
+        """Note in the journal a write that did not reach the chip."""
         self._append_entry(clock, LOST, address, value)
 
     def note_read(self, clock: int, address: int, value: int) -> None:
@@ -84,7 +84,7 @@ class Journal:
         self._append_entry(clock, INPUT, axis, word)
 
     def note_reset(self, clock: int) -> None:
-        """Note that the reset pin was asserted."""
+        """Note in the journal that the chip's reset pin was asserted."""
         self._append_entry(clock, RESET, 0, 0)
 
     def note_shaft(self, clock: int, axis: int, count: float, rate: float) -> None:
@@ -92,7 +92,7 @@ class Journal:
         self._append_entry(clock, SHAFT, float_to_bits(count), float_to_bits(rate), axis)
 
     def extend(self, packed: np.ndarray) -> None:
-        """Note PACKED records, in the order of their clocks."""
+        """Note entries given as records of the dtype PACKED, in the order of their clocks."""
         if self._end is None:
             self.entries.extend(packed)
         if self._previous is not None:
@@ -106,7 +106,7 @@ class Journal:
             self._previous._append_entry(clock, kind, a, b, axis)
 
     def close(self) -> None:
-        """Stop recording. The waveforms end here."""
+        """Stop recording inputs of the chip. The waveforms of the journal end here."""
         if self._end is not None:
             return
         self._end = self.chip.clock
@@ -116,7 +116,7 @@ class Journal:
         self.chip.open_journal = now
 
     def restart(self) -> None:
-        """Forget all entries, and begin again with the present state."""
+        """Forget all entries of the journal, and begin again with the present state of the chip."""
         self._start, self.entries = self.chip.state.tobytes(), Entries()
 
     @property

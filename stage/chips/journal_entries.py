@@ -68,7 +68,7 @@ class Entry(NamedTuple):
     axis: int = 0
 
     def apply(self, core: Any, chip_state: Any) -> None:
-        """Repeat the input on a chip.
+        """Repeat the input that this entry holds on a chip.
 
         Args:
             core: Core of the chip's family.
@@ -102,7 +102,7 @@ class Entries(Sequence[Entry]):
         self._words = array("q")
 
     def append(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
-        """Append an entry.
+        """Append an entry of a journal, given by its fields.
 
         Args:
             clock: Reference clocks since power-up.
@@ -118,7 +118,7 @@ class Entries(Sequence[Entry]):
         self._words.frombytes(packed.tobytes())
 
     def packed(self) -> np.ndarray:
-        """Return a copy as PACKED records."""
+        """Return a copy of the entries as records of the dtype PACKED."""
         return np.frombuffer(self._words.tobytes(), PACKED)
 
     def __len__(self) -> int:

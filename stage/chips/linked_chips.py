@@ -25,19 +25,19 @@ MAX_ROUNDS = 8  # of exchanges at one clock
 
 @hot
 def read_wire_number(word):
-    """Return the number that a word on the wires contains."""
+    """Return the number field of a wire word, the word that linked chips drive onto their common wires."""
     return word >> NUMBER_SHIFT & _ALL
 
 
 @hot
 def count_new_pulses(new_word, old_word):
-    """Return the number of pulses that the chips made between an older word on the wires and a newer one."""
+    """Return the number of pulses that linked chips made between an older and a newer wire word (see `pack_wire_word`)."""
     return (new_word >> PULSES_SHIFT) - (old_word >> PULSES_SHIFT) & _ALL
 
 
 @hot
 def pack_wire_word(levels, number, pulses):
-    """Pack the levels, the number and the pulse count that a chip drives into one word for the wires.
+    """Pack the levels, the number and the pulse count that a linked chip drives into one word for the wires between chips.
 
     Args:
         levels: Levels that the chip drives, as bits.
@@ -49,7 +49,7 @@ def pack_wire_word(levels, number, pulses):
 
 @hot
 def _combine_outputs(chips, link_number):
-    """Combine the outputs of all chips on the wires into one word: all their levels, the largest number, the sum of the pulses."""
+    """Combine the words of all linked chips into one wire word: all their levels, the largest number, the sum of the pulses."""
     levels, maximum, pulses = LINKED, 0, 0
     for i in range(len(chips)):
         if chips[i].link == link_number:
@@ -99,7 +99,7 @@ def exchange_wire_words(chips, link_number, now_ns, edges, edge_count):
 
 @hot
 def run_linked_chips(chips, link_number, until, now_ns, edges, edge_count):
-    """Let the clocks of linked chips run up to a clock.
+    """Let the clocks of chips that are linked by wires run up to a clock.
 
     Args:
         chips: CHIP records.

@@ -73,7 +73,7 @@ class Field:
 
     @property
     def bits(self) -> str:
-        """Numbers of the bits, as text."""
+        """Numbers of the field's bits, as text."""
         return f"{self.high}" if self.high == self.low else f"{self.high}..{self.low}"
 
     def extract(self, word: int) -> int:
@@ -193,12 +193,12 @@ class Register:
 
     @cached_property
     def writable(self) -> int:
-        """Mask of the bits that a write changes."""
+        """Mask of the bits that a write to this register changes."""
         return self.mask & ~sum(f.mask for f in self.fields if f.access == "R")
 
     @cached_property
     def used(self) -> int:
-        """Mask of the bits that have a meaning."""
+        """Mask of the bits of this register that have a meaning."""
         return sum(f.mask for f in self.fields) or self.mask
 
 
@@ -234,7 +234,7 @@ class Word:
 
     @cached_property
     def used(self) -> int:
-        """Mask of the bits that have a meaning."""
+        """Mask of the bits of this word that have a meaning."""
         return sum(f.mask for f in self.fields)
 
     @property
@@ -404,7 +404,7 @@ class RegisterMap:
 
     @cached_property
     def by_code(self) -> dict[int, ChipCommand]:
-        """Command of each command code."""
+        """Commands of the chip by their command code."""
         return {code: c for c in self.commands for code in c.codes}
 
     def find_command_or_word(self, symbol: str, datum: int | None = None) -> tuple[ChipCommand | Word, int]:
@@ -629,7 +629,7 @@ def _join_note(title: str, note: str) -> str:
 
 
 def _format_range(register: Register) -> str:
-    """Format the legal range of a register for a dump."""
+    """Format the range of values that the data sheet allows for a register, for a dump."""
     return (
         " or ".join([f"{register.legal[0]}..{register.legal[1]}", *map(str, register.also)])
         if register.legal
@@ -649,6 +649,6 @@ def _format_field(field: Field, word: int | None) -> str:
 
 
 def _list_evidence(map_: RegisterMap) -> set[str]:
-    """Return the letters of all evidence in a map."""
+    """Return the letters of evidence (where a value comes from) that occur in a register map."""
     fields = {f.evidence for place in map_.places for f in place.fields}
     return fields | {r.evidence for r in map_.registers} | {c.evidence for c in map_.commands}

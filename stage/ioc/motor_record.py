@@ -693,7 +693,10 @@ class MotorRecord(PVGroup):
             await self.set(rps, self.get(field) / self.get("UREV"))
 
     async def _put_ramp(self, instance: Any, value: float) -> float:
-        """Return the ramp to store: one of 0 or less becomes the default, as in the real record; refuse NaN and infinity."""
+        """Store a ramp: 0 or less becomes the default ramp, as in the real motor record.
+
+        NaN and infinity are refused.
+        """
         if not math.isfinite(value):
             await self.refuse_request(f"{value}: a time or acceleration is a finite number.")
             raise SkipWrite

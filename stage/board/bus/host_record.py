@@ -174,7 +174,7 @@ def get_chip(host, chip):
 
 @hot
 def get_now(host):
-    """Return the time of the host, ns, which may be ahead of the stage's time."""
+    """Return the time of the host in ns since power-up, which may be ahead of the stage's time."""
     return get_world(get_stage(host)).now + host.ahead
 
 
@@ -210,7 +210,7 @@ def call_host_function(host, function, argument):
 
 @hot
 def call_python(host, reason):
-    """Call Python for one of the reasons of this module, such as a full buffer."""
+    """Let compiled code call Python for one of the reasons that this module defines, such as a full buffer."""
     before, host.in_python = host.in_python, 1
     call_host_function(host, host.call, reason)
     host.in_python = before
@@ -269,7 +269,7 @@ def get_device(host, index):
 
 @hot
 def _read_encoders(host, device):
-    """Compute the counts of a device's encoders at the host's time."""
+    """Compute the counts of the encoders that a device reads, at the host's time."""
     s = get_stage(host)
     qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), get_axis_table(s)
     counts, encoders = (

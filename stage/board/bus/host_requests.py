@@ -25,7 +25,7 @@ from stage.sim.compiled_stage_access import INTEGER
 
 @hot
 def _is_lost(host, chip, address, value):
-    """Return 1 if a fault of the bus loses this write before it reaches the chip."""
+    """Return 1 if a fault of the bus loses this write of the host before it reaches the chip."""
     if host.checked_chips >> chip & 1 == 0:
         return 0
     host_time.advance_stage_to_host(host)
@@ -73,7 +73,7 @@ def _read_chip(host, chip, address):
 
 @hot
 def _find_port(host, port):
-    """Return the PORT record of a port."""
+    """Return the PORT record of a port: the chip or device that it reaches, and the address there."""
     regions, at = array_at(host.regions, host.n_regions, host_record.REGION), 0
     for k in range(host.n_regions):
         n = port - regions[k].first
@@ -212,14 +212,14 @@ def _let_poll_cycle_pass(host):
 
 @hot
 def _report_refusal(host, code, a, b):
-    """Call Python about a request with operands that make no sense."""
+    """Call Python, which raises the error about a host request whose operands are out of range."""
     host.call_chip, host.call_address, host.call_value = code, a, b
     host_record.call_python(host, host_record.REFUSED)
 
 
 @hot
 def _set_line_hook(host, hook, argument):
-    """Set one hook for all interrupt lines."""
+    """Set one interrupt hook for all chips and devices that pull the interrupt line."""
     host_time.advance_stage_to_host(host)
     s = interrupt_controller.get_sources(host)[interrupt_controller.ANY_INTERRUPT_LINE]
     s.level, s.hook, s.argument, s.interrupt_mask = 1, hook, argument, -1
@@ -230,7 +230,7 @@ def _set_line_hook(host, hook, argument):
 
 @hot
 def _set_source(host, code, settings):
-    """Set the hook of a timer, a line or a software interrupt.
+    """Set the hook of a timer, an interrupt line or a software interrupt.
 
     Args:
         host: The HOST record.
@@ -256,7 +256,10 @@ def _set_source(host, code, settings):
 
 @hot
 def _set_level(host, level):
-    """Set the level of the processor, unless `level` is negative, and call hooks that may run now. Return the previous level."""
+    """Set the interrupt level of the host, unless `level` is negative, and call hooks that may run now.
+
+    Return the previous level.
+    """
     before = host.level
     if level > interrupt_controller.HIGHEST:
         _report_refusal(host, host_record.LEVEL, level, 0)
@@ -268,7 +271,7 @@ def _set_level(host, level):
 
 @hot
 def _raise_software_interrupt(host, number):
-    """Set the flag of a software interrupt."""
+    """Set the flag that makes a software interrupt of the host pending."""
     if not 0 <= number < interrupt_controller.SOFTWARE:
         _report_refusal(host, host_record.RAISE, number, 0)
         return
@@ -408,7 +411,7 @@ def _access_serial(host, code, a, number):
 
 @hot
 def _send_serial(host, line, value):
-    """Put a byte on the serial line, once its other end has made room."""
+    """Put a byte of the firmware on a serial line, once the line's other end has made room."""
     if line.sent - line.read >= serial_core.ROOM:
         host_time.advance_stage_to_host(host)
         host_record.call_python(host, host_record.PAUSE)
@@ -490,7 +493,7 @@ def update_interrupts(host):
 
 @exported("i8")
 def get_stack_position():
-    """Return the approximate stack position of the caller."""
+    """Return the approximate position of the caller on its stack, an address."""
     return get_frame_address()
 
 

@@ -41,7 +41,7 @@ def advance_stage_to_host(host):
 
 @hot
 def _find_quiet_time(host):
-    """Compute the time up to which only the chips change: before it, there is no switch edge and no end of a slice."""
+    """Compute the time, ns, up to which only chips change: no switch edge and no end of a drive's slice comes before it."""
     w, axes, dt = get_world(get_stage(host)), array_at(host.axes, host.n_axes, AXIS), get_clockwork(get_stage(host)).dt
     host.quiet = least(least(host.until, host.due), w.start + (w.slice + 1) * dt // engine_records.SLICES)
     for a in range(len(axes)):
@@ -52,7 +52,7 @@ def _find_quiet_time(host):
 
 @hot
 def _pass_time(host, ns):
-    """Let `ns` pass, and pause the firmware where it reaches its limit."""
+    """Let `ns` of host time pass, and pause the firmware where it reaches the limit of its run."""
     w, left = get_world(get_stage(host)), ns
     while left > 0 and not host.stopped:
         if w.now >= host.until:
@@ -108,14 +108,14 @@ def find_interrupt_mask(host):
 
 @hot
 def call_hooks(host):
-    """Call the hooks of interrupts whose level is above the processor's."""
+    """Call the interrupt hooks whose level is above the present interrupt level of the processor."""
     if host.top_level > host.level:
         _call_hooks(host)
 
 
 @hot
 def _call_hooks(host):
-    """Call hooks, the one with the highest level first, until no interrupt is pending."""
+    """Call interrupt hooks, the one with the highest level first, until no interrupt is pending."""
     calls = 0
     while host.top_level > host.level and not host.stopped:
         asserted = (
@@ -136,7 +136,7 @@ def _call_hooks(host):
 
 @hot
 def _call_hook(host, source):
-    """Call the hook of a source, and restore the level of the processor after it."""
+    """Call the interrupt hook of a source, and restore the processor's interrupt level after it."""
     advance_stage_to_host(host)
     s, level, outer, outer_number = interrupt_controller.get_sources(host)[source], host.level, host.serving, 0
     mark, missed = stack_mark(MARK, MARKED), s.missed
@@ -161,8 +161,7 @@ def _copy_words(source, target, words):
 
 @hot
 def _run_until_interrupt(host, interrupt_mask, end):
-    """Advance to `end`, the end of the physics step, or the nanosecond at which one of some interrupt
-    lines is asserted, whichever comes first.
+    """Advance to `end` (ns), the end of the physics step, or the nanosecond at which one of some interrupt lines is asserted.
 
     Args:
         host: The HOST record.
@@ -195,7 +194,7 @@ def _run_until_interrupt(host, interrupt_mask, end):
 
 @hot
 def wait(host, ns):
-    """Let `ns` pass in a delay, and call each hook at the exact nanosecond of its timer or line.
+    """Let `ns` pass in a delay of the host, and call each interrupt hook at the exact nanosecond of its timer or line.
 
     The time that a hook takes is part of the delay.
     """
@@ -218,7 +217,7 @@ def wait(host, ns):
 
 @hot
 def advance_host(host, until):
-    """Advance the host's time to `until` ns if that is later than now."""
+    """Advance the host's time to `until`, ns since power-up, if that is later than the present time."""
     ns = until - host_record.get_now(host)
     if ns > 0:
         _pass_cycle_time(host, ns)
@@ -227,7 +226,7 @@ def advance_host(host, until):
 
 @hot
 def wait_for_line(host, ns):
-    """Let at most `ns` pass until the interrupt line is asserted. Return 1 if it is asserted, else 0."""
+    """Let at most `ns` of host time pass until the interrupt line is asserted. Return 1 if it is asserted, else 0."""
     asserted, w = find_interrupt_mask(host), get_world(get_stage(host))
     end = w.now + ns
     while not asserted and w.now < end and not host.stopped:

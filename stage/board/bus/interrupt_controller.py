@@ -42,13 +42,16 @@ NEAR = 1 << 14
 
 @hot
 def get_sources(host):
-    """Return the SOURCE records of all interrupt sources."""
+    """Return the SOURCE records of all interrupt sources of the board: lines, timers and software interrupts."""
     return array_at(host.sources, SOURCES, SOURCE)
 
 
 @hot
 def _get_hooks(host):
-    """Return all HOOK_CALLED records; those in use belong to hooks that are being called."""
+    """Return the HOOK_CALLED records of the board.
+
+    Those in use belong to interrupt hooks that have begun and not returned.
+    """
     return array_at(host.hooks, HOOKS, HOOK_CALLED)
 
 
@@ -80,7 +83,7 @@ def update_pending(host):
 
 @hot
 def mark_due_timers(host):
-    """Set the flags of all timers whose time has come."""
+    """Set the flags of all timer interrupts whose time has come."""
     now, sources = get_now(host), get_sources(host)
     for k in range(FIRST_TIMER, FIRST_SOFTWARE):
         s = sources[k]
@@ -94,7 +97,7 @@ def mark_due_timers(host):
 
 @hot
 def choose_source(host, asserted):
-    """Return the source with the highest level above the processor's level, or -1.
+    """Return the index of the pending interrupt source with the highest level above the processor's, or -1.
 
     Args:
         host: The HOST record.
@@ -110,8 +113,10 @@ def choose_source(host, asserted):
 
 @hot
 def enter_hook(host, source, mark):
-    """Reserve a HOOK_CALLED record for a hook that is about to be called. Return its index, or -1 if all records are in
-    use."""
+    """Reserve a HOOK_CALLED record for an interrupt hook that is about to be called.
+
+    Return its index, or -1 if none is free.
+    """
     hooks, s = _get_hooks(host), get_sources(host)[source]
     for k in range(HOOKS):
         c = hooks[k]
@@ -129,7 +134,7 @@ def enter_hook(host, source, mark):
 
 @hot
 def end_hook(host, index, number, level, outer, outer_number, ending):
-    """End a hook that has returned (BACK), was left by a jump, or has lowered the level.
+    """End an interrupt hook that has returned (BACK), was left by a jump, or has lowered the level.
 
     Args:
         host: The HOST record.
@@ -150,7 +155,7 @@ def end_hook(host, index, number, level, outer, outer_number, ending):
 
 @hot
 def end_abandoned_hooks(host, frame):
-    """End hooks that a jump has left.
+    """End interrupt hooks that the firmware has left by a jump, such as longjmp.
 
     Args:
         host: The HOST record.
@@ -165,7 +170,7 @@ def end_abandoned_hooks(host, frame):
 
 @hot
 def _is_abandoned(host, mark, frame):
-    """Return whether the stack position of a request shows that the hook below `mark` has been left."""
+    """Return whether the stack position of a request shows that the firmware has left the interrupt hook below `mark`."""
     if frame > mark:
         on_firmware_stack = host.stack_low < mark and frame < host.stack_high
         return on_firmware_stack or frame - mark < NEAR
@@ -178,7 +183,7 @@ def _is_abandoned(host, mark, frame):
 
 @hot
 def set_level(host, level):
-    """Set the level of the processor, which ends the hooks of higher levels."""
+    """Set the interrupt level of the processor, which ends the interrupt hooks of higher levels."""
     while host.serving and level < get_sources(host)[_get_hooks(host)[host.serving - 1].source].level:
         c = _get_hooks(host)[host.serving - 1]
         end_hook(host, host.serving - 1, c.number, level, c.outer, c.outer_number, LOWERED)

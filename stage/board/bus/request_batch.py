@@ -29,7 +29,7 @@ DRIVEN_LINES = STEP | DIR | ENABLE
 
 @hot
 def _is_invalid(entry, n_chips):
-    """Return whether an entry has an unknown request code or an operand out of range."""
+    """Return whether an entry of a batch of host requests has an unknown request code or an operand out of range."""
     code = entry.what
     if code == host_record.SET_LINES and entry.b >> host_record.LINES_SHIFT & ~DRIVEN_LINES:
         return True
@@ -56,7 +56,7 @@ def _is_invalid(entry, n_chips):
 
 @exported("i8", array_of(ENTRY), "i8")
 def find_first_invalid(entries, n_chips):
-    """Return the index of the first entry that cannot be executed on a board with so many chips, or the number of entries."""
+    """Return the index of the first batch entry that a board with so many chips cannot execute, or the number of entries."""
     for k in range(len(entries)):
         if _is_invalid(entries[k], n_chips):
             return k
@@ -65,7 +65,7 @@ def find_first_invalid(entries, n_chips):
 
 @hot
 def _read_until(host, entry):
-    """Read a port until the value of the entry appears; return the last value that was read."""
+    """Read a port until the value of the batch entry appears; return the last value that was read."""
     code, mask, value = host_record.IN8 if entry.what == UNTIL8 else host_record.IN16, int(entry.mask) & 0xFFFFFFFF, 0
     for k in range(entry.times):
         value = execute(host, code, entry.a, 0)
@@ -87,13 +87,13 @@ def _wait_for_line(host, us):
 
 @hot
 def set_next_pause(host):
-    """Set the time and the number of bus cycles at which the batch will pause."""
+    """Set the time and the number of bus cycles at which a batch of host requests will pause."""
     host.until, host.max_cycles = host_record.get_now(host) + SLICE_NS, host.cycles + SLICE_CYCLES
 
 
 @exported("i8", host_record.HOST, array_of(ENTRY), array_of(np.int64))
 def run_batch(host, entries, answers):
-    """Execute the entries in order. At each PAUSE, Python is called, which has to call `resume_batch`.
+    """Execute the requests of a batch in order. At each PAUSE, Python is called, which has to call `resume_batch`.
 
     Args:
         host: HOST record of a board that is not stopped.
@@ -132,5 +132,5 @@ def run_batch(host, entries, answers):
 
 @exported(None, host_record.HOST)
 def resume_batch(host):
-    """Let a paused batch continue until its next pause."""
+    """Let a paused batch of host requests continue until its next pause."""
     set_next_pause(host)

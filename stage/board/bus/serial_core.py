@@ -37,7 +37,7 @@ LINE = record(
 
 @hot
 def count_arrived(line, now):
-    """Count the bytes that have arrived at `now` (ns) and that the firmware has not taken."""
+    """Count the bytes of a serial line that have arrived at `now` (ns) and that the firmware has not taken."""
     waiting = line.fed - line.removed
     if waiting <= 0 or line.byte_ns == 0:
         return waiting
@@ -46,13 +46,16 @@ def count_arrived(line, now):
 
 @hot
 def peek_byte(line, now):
-    """Return the next byte that has arrived, or NO_BYTE."""
+    """Return the next byte that has arrived on a serial line at `now` (ns), without removing it.
+
+    NO_BYTE if there is none.
+    """
     return line.incoming[line.removed % ROOM] if count_arrived(line, now) > 0 else NO_BYTE
 
 
 @hot
 def remove_byte(line, now):
-    """Remove the next byte that has arrived from the buffer and return it; NO_BYTE if there is none."""
+    """Remove the next byte that has arrived on a serial line and return it; NO_BYTE if there is none."""
     if count_arrived(line, now) <= 0:
         return NO_BYTE
     byte = line.incoming[line.removed % ROOM]
@@ -63,14 +66,14 @@ def remove_byte(line, now):
 
 @hot
 def set_rate(line, now, bits_per_second):
-    """Set the rate of the line. At rate 0, bytes take no time. Bytes that are on their way arrive at the new rate."""
+    """Set the bit rate of a serial line. Bytes on their way arrive at the new rate; at rate 0, bytes take no time."""
     line.byte_ns = BITS_PER_BYTE * SECOND // bits_per_second if bits_per_second > 0 else 0
     line.due = now + line.byte_ns
 
 
 @hot
 def put_byte(line, value):
-    """Put a byte of the firmware on the line. Return whether the firmware must pause after it."""
+    """Put a byte of the firmware on a serial line. Return whether the firmware must pause after it."""
     if line.sent - line.read >= ROOM:
         line.lost += 1
         return False

@@ -68,7 +68,7 @@ class Device:
     # --- for users ---
 
     def pull(self, on: bool = True, at: float | None = None) -> None:
-        """Assert the interrupt line, or release it.
+        """Assert the interrupt line by this device, or release it.
 
         Args:
             on: True to assert it, False to release it.
@@ -96,7 +96,7 @@ class Device:
 
     @property
     def counts(self) -> list[int]:
-        """Current count of each encoder."""
+        """Current count of each encoder that this device reads."""
         stage = self.stage
         tau = float(stage.now - stage.state.start) / engine_records.SECOND - float(stage.state.clockwork[0].half)
         counts = []
@@ -138,11 +138,11 @@ class Device:
         return f"port {register}"
 
     def list_arrays(self) -> list[np.ndarray]:
-        """Return the arrays that snapshots include."""
+        """Return the arrays that hold the device's state and that snapshots include."""
         return [self.interrupt_start_ns, *self.state]
 
     def use_arrays(self, arrays: list[np.ndarray]) -> None:
-        """Replace the arrays of `list_arrays` by these arrays from now on."""
+        """Replace the arrays of this device that `list_arrays` returns by these arrays from now on."""
         interrupt_start_ns, *state = arrays
         self.interrupt_start_ns = interrupt_start_ns.view(np.int64)
         pairs = zip(self.state, state, strict=True)
@@ -172,7 +172,7 @@ class Device:
         return state, self.access, self.pulls, start, counts, encoders, len(self.encoders)
 
     def _require_board(self) -> Board:
-        """Return the board. Raises StageError if the device is on no board."""
+        """Return the board on whose bus this device is. Raises StageError if it is on no board."""
         if self.board is None:
             raise StageError(
                 f"{self.name} is on no board yet: board.attach_device(device, ports) or board.add_device(ports, ...)."

@@ -13,7 +13,7 @@ COUNT = np.dtype("i8")
 
 @hot
 def _read_counter(state, counts):
-    """Return the value of the counter."""
+    """Return the value of the HCTL-2016's counter from the counts of its encoder."""
     return (array_at(counts, 1, COUNT)[0] - state.zero) & (1 << state.bits) - 1
 
 

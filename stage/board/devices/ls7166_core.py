@@ -24,7 +24,10 @@ def _count_units(state, counts):
 
 @hot
 def _update_counter(state, counts):
-    """Update the counter to the present count of the encoder. Between two bus cycles only the net count matters."""
+    """Update the LS7166 counter to the present count of its encoder.
+
+    Between two bus cycles only the net count matters.
+    """
     units = _count_units(state, counts)
     steps, state.last = units - state.last, units
     if steps == 0 or state.qr == 0 or state.icr & ENABLE == 0:
@@ -51,7 +54,7 @@ def _update_counter(state, counts):
 
 @hot
 def _write_mcr(state, value):
-    """Carry out a write to MCR."""
+    """Carry out a write to MCR, the master control register of the LS7166 counter."""
     if value & 0x20:
         state.cntr = state.icr = state.occr = state.qr = state.ol = state.pointer = state.borrows = state.carries = (
             state.compares
@@ -72,7 +75,7 @@ def _write_mcr(state, value):
 
 @hot
 def _write_control(state, counts, value):
-    """Execute a control byte: a write to MCR, ICR, OCCR or QR."""
+    """Execute a control byte of the LS7166 counter: a write to MCR, ICR, OCCR or QR."""
     register, value = value >> 6 & 3, value & 0x3F
     if register == 0:
         _write_mcr(state, value)
@@ -91,7 +94,7 @@ def _write_control(state, counts, value):
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
 def access(state, now, counts, register, kind, value):
-    """Execute a bus cycle at port 0 (C/D low, data) or port 1 (C/D high, control and status)."""
+    """Execute a bus cycle of the LS7166 counter at port 0 (C/D low, data) or port 1 (C/D high, control and status)."""
     _update_counter(state, counts)
     at = 8 * state.pointer
     if register == 1:

@@ -9,7 +9,7 @@ STATE = record([("value", "i8")])
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
 def access(state, now, counts, register, kind, value):
-    """Write or read the outputs."""
+    """Write or read back the outputs of an 8-bit output latch in a bus cycle."""
     if kind & 1:
         state.value = value
     return state.value

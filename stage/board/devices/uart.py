@@ -92,7 +92,7 @@ class UART(CompiledDevice):
 
     @property
     def free(self) -> int:
-        """Number of bytes that can be fed now."""
+        """Number of bytes that `feed` accepts now."""
         self.CORE.access(self.state[0], self.stage.now, 0, 7, 0, 0)  # what has arrived by now has
         return uart_core.ROOM - int(self.registers["fed"] - self.registers["taken"])
 
@@ -130,7 +130,7 @@ class UART(CompiledDevice):
         return os.ttyname(slave)
 
     def access_register(self, register: int, kind: int, value: int) -> int:
-        """Execute a bus cycle while a pseudo-terminal is connected."""
+        """Execute a bus cycle of the UART while a pseudo-terminal is connected."""
         while select.select([self._master], [], [], 0)[0] and self.registers["fed"] - self.registers["taken"] < 64:
             self.feed(os.read(self._master, 64))
         answer = self.CORE.access(self.state[0], self.stage.now, 0, register, kind, value)
@@ -173,5 +173,5 @@ class UART(CompiledDevice):
 
     @property
     def _character_ns(self) -> int:
-        """Time of a character on the line, ns; 0 without a divisor."""
+        """Time of a character on the UART's line, ns; 0 without a divisor."""
         return int(uart_core.compute_character_ns(self.state[0].view(uart_core.STATE)[0]))

@@ -28,7 +28,7 @@ which the last leaves the transmitter at `left`; armed: the interrupt of an empt
 
 @hot
 def compute_character_ns(state):
-    """Return the time of a character on the line, ns; 0 without a divisor."""
+    """Return the time, ns, of a character on the UART's line; 0 while no divisor is set."""
     halves = 2 * (6 + (state.lcr & 3) + (state.lcr >> 3 & 1)) + (
         2 if state.lcr & 4 == 0 else 3 if state.lcr & 3 == 0 else 4
     )
@@ -37,14 +37,14 @@ def compute_character_ns(state):
 
 @hot
 def count_unsent(state, now):
-    """Return the number of bytes in the transmitter, including the one on the line."""
+    """Return the number of bytes in the transmitter of the UART, including the byte on the line."""
     c = compute_character_ns(state)
     return (state.left - now + c - 1) // c if state.left > now and c else 0
 
 
 @hot
 def _count_arrived(state, now):
-    """Return the number of bytes that have arrived at the time `now` and are not in the FIFO yet."""
+    """Return the number of bytes that have arrived at the UART by `now` (ns) and are not in its FIFO yet."""
     c = compute_character_ns(state)
     return (
         least(state.fed - state.taken, (now - state.due) // c + 1)
@@ -55,7 +55,7 @@ def _count_arrived(state, now):
 
 @hot
 def _receive_arrived_bytes(state, now):
-    """Put the bytes that have arrived into the FIFO."""
+    """Put the bytes that have arrived at the UART into its receiver FIFO."""
     c, register = compute_character_ns(state), _count_arrived(state, now)
     room = FIFO if state.fcr & 1 else 1
     for _ in range(register):
@@ -74,7 +74,7 @@ def _receive_arrived_bytes(state, now):
 
 @hot
 def _identify_interrupt(state, now):
-    """Return the IIR without the bits of the FIFO: the pending interrupt of the highest priority, or 1 for none."""
+    """Return IIR of the UART without its FIFO bits: the pending interrupt of the highest priority, or 1 for none."""
     register, room, c = _count_arrived(state, now), FIFO if state.fcr & 1 else 1, compute_character_ns(state)
     level = state.waiting + register
     if state.ier & 4 and (state.oe or level > room):
@@ -97,7 +97,7 @@ def pulls(state, now, counts):
 
 @hot
 def _put_into_transmitter(state, now, value):
-    """Put a byte into the transmitter, or return it to the receiver in loop mode."""
+    """Put a byte into the transmitter of the UART, or return it to the receiver in loop mode."""
     unsent, room = count_unsent(state, now), FIFO + 1 if state.fcr & 1 else 2
     if state.divisor == 0:  # no clock on the line
         return
@@ -120,7 +120,7 @@ def _put_into_transmitter(state, now, value):
 
 @hot
 def _set_divisor(state, now, divisor):
-    """Set the speed of the line. Bytes that have not arrived yet arrive at the new speed."""
+    """Set the speed of the UART's line by its divisor. Bytes that have not arrived yet arrive at the new speed."""
     state.divisor = divisor
     if state.fed > state.taken:
         state.due = now + compute_character_ns(state)
@@ -128,7 +128,7 @@ def _set_divisor(state, now, divisor):
 
 @hot
 def _write_register(state, now, register, value):
-    """Write a register. If bit 7 of LCR is set, the first two registers are the divisor."""
+    """Write a register of the UART. If bit 7 of LCR is set, the first two registers are the divisor."""
     if register < 2 and state.lcr & 0x80:
         _set_divisor(state, now, state.divisor & 0xFF00 | value if register == 0 else state.divisor & 0xFF | value << 8)
     elif register == 0:
@@ -149,7 +149,7 @@ def _write_register(state, now, register, value):
 
 @hot
 def _control_fifos(state, now, value):
-    """Write FCR, which enables and clears the FIFOs."""
+    """Write FCR of the UART, which enables and clears its FIFOs."""
     if value & 2 or (value ^ state.fcr) & 1:
         state.waiting = 0
     if value & 4 and count_unsent(state, now) > 1:
@@ -160,7 +160,7 @@ def _control_fifos(state, now, value):
 
 @hot
 def _take_received_byte(state, now):
-    """Return the next received byte (RBR) and remove it from the FIFO."""
+    """Return the UART's next received byte (RBR) and remove it from the receiver FIFO."""
     if state.waiting:
         state.rbr = state.fifo[state.first]
         state.first = (state.first + 1) % FIFO
@@ -171,7 +171,7 @@ def _take_received_byte(state, now):
 
 @hot
 def _read_line_status(state, now):
-    """Return LSR; the read clears the overrun bit."""
+    """Return LSR, the line status of the UART; the read clears the overrun bit."""
     unsent, overrun = count_unsent(state, now), state.oe
     state.oe = 0
     return (1 if state.waiting else 0) | overrun << 1 | (0x20 if unsent <= 1 else 0) | (0x40 if unsent == 0 else 0)
@@ -179,13 +179,13 @@ def _read_line_status(state, now):
 
 @hot
 def _read_modem_status(state):
-    """Return MSR. In loop mode it shows the modem control register; otherwise the peer is present and ready."""
+    """Return MSR of the UART: in loop mode its modem control register, else that the peer is present and ready."""
     return (state.mcr & 2) << 3 | (state.mcr & 1) << 5 | (state.mcr & 12) << 4 if state.mcr & 16 else 0xB0
 
 
 @hot
 def _read_interrupt_identification(state, now):
-    """Return IIR; the read ends the interrupt of an empty transmitter."""
+    """Return IIR of the UART; the read ends the interrupt of an empty transmitter."""
     code = _identify_interrupt(state, now)
     if code == 2:
         state.armed = 0
@@ -194,7 +194,7 @@ def _read_interrupt_identification(state, now):
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
 def access(state, now, counts, register, kind, value):
-    """Execute a bus cycle at a register."""
+    """Execute a bus cycle at one of the eight registers of the 16550 UART."""
     _receive_arrived_bytes(state, now)
     if kind & 1:
         _write_register(state, now, register, value)

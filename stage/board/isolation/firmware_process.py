@@ -62,7 +62,7 @@ class SampleBuffers:
         self.samples, self.positions, self.filled = shared.samples, shared.positions, 0
 
     def take_rows(self, filled: int) -> None:
-        """Store the number of rows that the engine has filled."""
+        """Store how many rows (samples) of the buffers the engine has filled; the parent copies these rows."""
         self.filled = filled
 
 
@@ -126,7 +126,7 @@ class ChildLink(Link):
         return self._call_parent(k, n, value, kind)
 
     def is_write_lost(self, chip: int, address: int, value: int) -> bool:
-        """Request from the parent whether a fault of the bus loses this write."""
+        """Ask the parent process whether a fault of the bus loses this write before it reaches the chip."""
         return bool(self._call_parent(chip, address, value))
 
     def _call_parent_hook(self, source: int) -> None:
@@ -179,7 +179,7 @@ class ChildBoard(Board):
             self.link.shared.add_log_line(self.stage.now, text)
 
     def prepare_run(self, order: RunOrder) -> None:
-        """Copy the parent's state and settings before the firmware continues."""
+        """Copy the parent's state and settings to this copy of its board before the firmware continues."""
         link, stage, self._lines = self.link, self.stage, order.lines
         if order.machine is not None:
             copy_settings(stage, pickle.loads(order.machine))
@@ -197,7 +197,7 @@ class ChildRunner(ThreadRunner):
     isolated, outlives = True, ""
 
     def _check_loadable(self) -> None:
-        """Load the firmware for the first run."""
+        """Load the firmware for the first run, so that its errors appear before the run."""
         self._checked: LoadedProgram | None = super()._load()
 
     def _load(self) -> LoadedProgram:
@@ -219,7 +219,7 @@ class ChildRunner(ThreadRunner):
         )
 
     def _locate(self, *libraries: Path) -> str:
-        """Return a sentence about where the firmware computes."""
+        """Return a sentence about the function and line in which the firmware is computing."""
         pc, top = traps.find_position(self._thread) if crash_report.IS_SUPPORTED else (0, 0)
         return f" It is in {crash_report.locate_code(pc, top, *libraries)}." if pc else ""
 
@@ -247,7 +247,7 @@ class ChildRunner(ThreadRunner):
 
 
 def copy_settings(target: Stage, source: Stage) -> None:
-    """Copy settings that are not part of the state from one stage to another.
+    """Copy the settings that are not part of the state from one stage to another.
 
     Args:
         target: Stage of this process.
@@ -287,7 +287,7 @@ def _exit_with_parent(parent: int, fileno: int, start_messages: list[StartMessag
 
 
 def _remove_files(start_messages: list[StartMessage]) -> None:
-    """Remove the folder of a parent that has ended and may have left it behind."""
+    """Remove the temporary folder that a parent process which has ended may have left behind."""
     for start in start_messages:
         shutil.rmtree(Path(start.shared).parent, ignore_errors=True)
 

@@ -98,7 +98,7 @@ class _Messages:
             raise InvalidMessageError from error
 
     def _take_message(self) -> bytes | None:
-        """Return the next complete message from the buffer; None if there is none yet."""
+        """Return the next complete message of the firmware's process from the buffer; None if there is none yet."""
         content = self._content
         if len(content) < _HEAD.size:
             return None
@@ -192,13 +192,13 @@ class ProcessRunner:
         return message.code
 
     def close(self) -> None:
-        """End the child process."""
+        """End the child process that runs the firmware."""
         if os.getpid() != self._owner:
             self._detach_from_owner(may_run=True)
         self._end_child()
 
     def _make_run_order(self, until: int, max_cycles: int) -> RunOrder:
-        """Write the state to shared memory and return the order for the child."""
+        """Write the state of the stage to shared memory, and return the order with which the child process continues from it."""
         board, stage = self._board, self._board.stage
         machine = self._pickle_if_changed()
         every = int(stage.state.clockwork[0].sample_every) if stage.loop.recording is not None else 0
@@ -209,7 +209,7 @@ class ProcessRunner:
         return RunOrder(until, max_cycles, board.port_table, machine, every, checked, hooks, len(board.log))
 
     def _run_child(self, order: RunOrder) -> PausedMessage:
-        """Let the child execute an order, and call Python for it when requested."""
+        """Let the child process execute an order to run, and call Python functions for it when it requests them."""
         self._pipe.send(order)
         while not isinstance(message := self._receive(), PausedMessage):
             if isinstance(message, ParentCallRequest):
@@ -330,7 +330,7 @@ class ProcessRunner:
         self._waited = self._patience + grace
 
         def check() -> None:
-            """Raise an error if the child has ended, or has made no progress within the patience."""
+            """Raise an error if the child process has ended, or has made no progress for longer than the host's patience."""
             nonlocal begin
             theirs = self._shared.record[0]
             now = tuple(int(theirs[name]) for name in ("cycles", "reached"))
@@ -362,12 +362,15 @@ class ProcessRunner:
         return f"has not got on for {self._waited:g} s of real time{why}, and was ended"
 
     def _explain_load(self, how: str) -> HostError:
-        """Return the error for a child that ended while the firmware was being loaded."""
+        """Return the error for a child process that ended while it loaded the firmware."""
         what = self._describe_crash()
         return HostError(f"{self._path.name} {how} while it was loaded, before PULSESTAGE_MAIN was called{what}.")
 
     def _explain_crash(self, how: str) -> HostError:
-        """Advance the stage to the point at which the child ended, by repeating its last cycles; return the error."""
+        """Repeat the last cycles of the child process, so that the stage stands where it ended.
+
+        Return the error about its end.
+        """
         board, theirs = self._board, self._shared.record[0]
         try:
             self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
@@ -387,12 +390,12 @@ class ProcessRunner:
         )
 
     def _describe_crash(self) -> str:
-        """Return the description of a crash from the child's note."""
+        """Return the description of the firmware's crash from the note in the shared memory."""
         devices = (d.loaded for d in self._board.devices if isinstance(d, CDevice))
         return crash_report.describe_crash(self._shared.crash, self._path, *devices)
 
     def _explain_overwritten_memory(self, how: str) -> HostError:
-        """Return the error for firmware that has overwritten the shared memory."""
+        """Return the error for firmware that has overwritten the memory which it shares with this process."""
         board = self._board
         return HostError(
             f"{self._path.name} has written over the memory by which its process tells what happens on the bus, and {how}. Does a "
@@ -402,7 +405,7 @@ class ProcessRunner:
         )
 
     def _repeat_cycles(self, edges: np.ndarray) -> None:
-        """Repeat the child's last bus cycles on the parent's stage."""
+        """Repeat the last bus cycles of the child process on this process's stage."""
         stage = self._board.stage
         axes = list(stage.axes.values())
         for now, axis, kind, a, b in zip(*(edges[n].tolist() for n in ("now", "axis", "kind", "a", "b")), strict=True):
@@ -420,7 +423,7 @@ class ProcessRunner:
     # --- the process ---
 
     def _explain_end(self) -> str:
-        """Wait for a child that ends by itself, and describe how it ended."""
+        """Wait for a child process that ends by itself, and describe how it ended."""
         code = self._child.wait(self._patience + GRACE_S) if self._child is not None else 0
         stopped = self._child.stopped if self._child is not None else 0
         self._end_child()
@@ -431,7 +434,7 @@ class ProcessRunner:
         return f"was ended by {_name_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
 
     def _end_child(self) -> None:
-        """End the child process and release its resources."""
+        """End the child process that runs the firmware, and release its resources."""
         if self._child is not None:
             self._child.kill()
             self._child.wait()

@@ -82,7 +82,7 @@ class ChildProcess:
         self.stopped = 0
 
     def kill(self) -> None:
-        """End the child, if it has not ended."""
+        """End this child process, if it has not ended."""
         if self._code is None:
             self._starter.kill(self.pid)
 
@@ -174,7 +174,7 @@ class ProcessStarter:
         return content
 
     def start(self, pipe: int) -> ChildProcess:
-        """Start a child that gets this end of a pipe."""
+        """Start a child process that gets this end of a pipe."""
         context = ProcessContext(dict(os.environ), _find_working_folder(), list(sys.path))
         ours, theirs = socket.socketpair()
         with theirs:
@@ -185,7 +185,7 @@ class ProcessStarter:
         return ChildProcess(self, ours)
 
     def kill(self, pid: int) -> None:
-        """End a child.
+        """Let the starter process end one of its children.
 
         An object that is collected as garbage may call this method at any moment, even while this thread sends a message; the
         order is then sent afterwards. In a fork of this process the method does nothing, because the children belong to the
@@ -197,7 +197,7 @@ class ProcessStarter:
         _send_kills()
 
     def send(self, message: Any, files: list[int]) -> None:
-        """Send a message with open files."""
+        """Send a message with open files to the starter process."""
         content = pickle.dumps(message)
         socket.send_fds(self._control, [_HEAD.pack(len(content))], files)
         self._control.sendall(content)
@@ -233,7 +233,7 @@ def start(pipe: int, preload: str = "") -> ChildProcess:
 
 
 def _find_starter(preload: str, silent: bool = False) -> ProcessStarter:
-    """Return the starter of this process. Create one if there is none, or if the present one is `silent`."""
+    """Return the process starter of this process. Create one if there is none, or if the present one is `silent`."""
     key = os.getpid(), preload
     with _lock:
         starter = _starters.get(key)
@@ -282,7 +282,7 @@ def _read_exactly(source: socket.socket, size: int) -> bytes:
 
 
 def _fork_on_request(control: socket.socket, run: Callable[[int], None]) -> None:
-    """Fork and kill on request, and report ended children, until the other end is closed."""
+    """Fork and end child processes on request, and report ended ones, until the other end of the socket is closed."""
     reader, writer = socket.socketpair()
     reader.setblocking(False)
     writer.setblocking(False)
@@ -320,7 +320,7 @@ def _fork_on_request(control: socket.socket, run: Callable[[int], None]) -> None
 
 
 def _report_children(children: dict[int, socket.socket]) -> None:
-    """Report children that have ended or are stopped; end the stopped ones."""
+    """Report child processes that have ended or are stopped to those who wait for them, and end the stopped ones."""
     while children:
         pid, status = os.waitpid(-1, os.WNOHANG | os.WUNTRACED)
         if not pid:
@@ -375,7 +375,7 @@ def _become_child(context: ProcessContext, files: list[int], run: Callable[[int]
 
 
 def main(fileno: int) -> None:
-    """Run the starter with this end of a socket."""
+    """Run the starter process, which forks children that run firmware, with this end of a socket."""
     from stage.board.isolation import firmware_process
     from stage.sim import engine
 

@@ -158,7 +158,7 @@ def _make_file(path: Path, size: int) -> None:
 
 
 def _is_within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
-    """Return whether the fields of all rows are within bounds."""
+    """Return whether the named fields of all rows are within their bounds."""
     return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
 
 
@@ -224,7 +224,7 @@ class SharedMemory:
         self._fixed: tuple[int, ...] | None = None
 
     def hide_from_forks(self) -> None:
-        """Exclude the memory from forks of this process, which could otherwise change it unnoticed."""
+        """Exclude the shared memory from forks of this process, which could otherwise change it unnoticed."""
         if hasattr(mmap, "MADV_DONTFORK"):
             address, size = ctypes.c_void_p(self._map.ctypes.data), ctypes.c_size_t(self._map.nbytes)
             ctypes.CDLL(None).madvise(address, size, mmap.MADV_DONTFORK)
@@ -236,7 +236,7 @@ class SharedMemory:
         self._fixed = self.record[_FIXED].item()
 
     def check(self) -> None:
-        """Raise CorruptedError if the guards or constant fields have changed."""
+        """Raise CorruptedError if the firmware has changed the guard words or constant fields of the shared memory."""
         guarded = b"".join(map(bytes, self._guards))
         if guarded != self._guarded or self._fixed not in (None, self.record[_FIXED].item()):
             raise CorruptedError
@@ -270,7 +270,7 @@ class SharedMemory:
             raise CorruptedError
 
     def _is_end_valid(self, traced: int, edges: int, latest: int) -> bool:
-        """Return whether a child that has ended can have written the cycles, and the trace from line `traced` on."""
+        """Return whether a child process that has ended can have written its noted cycles, and the trace from line `traced` on."""
         h = self.record[0]
         if not (0 <= h["reached"] <= latest and 0 <= h["ahead"] <= latest):
             return False
@@ -286,18 +286,18 @@ class SharedMemory:
     # --- a crash ---
 
     def note_crash(self, note: bytes) -> None:
-        """Store the note of a crash, which `crash_report.describe_crash` reads."""
+        """Store the note of a crash of the firmware, which `crash_report.describe_crash` reads."""
         self._crash[: min(len(note), CRASH_SIZE)] = note[:CRASH_SIZE]
 
     @property
     def crash(self) -> bytes:
-        """Note of a crash; empty if there is none."""
+        """Note of a crash of the firmware, as bytes; empty if there is none."""
         return self._crash.tobytes().rstrip(b"\0")
 
     # --- lines of the log ---
 
     def add_log_line(self, now: int, text: str) -> bool:
-        """Add a log line; return False if there is no room.
+        """Add a line to the log of the firmware; return False if there is no room.
 
         Args:
             now: Time, ns.
@@ -313,7 +313,7 @@ class SharedMemory:
         return True
 
     def take_log_lines(self) -> list[tuple[float, str]]:
-        """Return the log lines since the last call: (seconds, text)."""
+        """Return the firmware's log lines since the last call: (simulated seconds, text)."""
         content, at, lines = self._text[: self._used[0]].tobytes(), 0, []
         while at + _LINE.size <= len(content):
             now, length = _LINE.unpack_from(content, at)

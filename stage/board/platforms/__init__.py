@@ -33,7 +33,7 @@ ENCODING = {"encoding": "utf-8", "errors": "surrogateescape"}
 
 @dataclass(frozen=True)
 class Platform:
-    """A platform that sources were written for.
+    """A platform, such as Arduino, that firmware sources were written for.
 
     Attributes:
         name: Its name.
@@ -90,7 +90,7 @@ PLATFORMS: dict[str, Platform] = {
 
 @dataclass(frozen=True)
 class Recipe:
-    """How sources are compiled.
+    """The way in which firmware sources are compiled: the files and the flags for each language.
 
     Attributes:
         files: Sources for the compiler that links the library: C, or C++ if `cplusplus`.
@@ -211,7 +211,7 @@ def _replace_definitions(flags: Sequence[str], user_flags: Sequence[str]) -> lis
 
 
 def _split_languages(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
-    """Compile each file in its own language."""
+    """Return the recipe that compiles each source file in its own language, C or C++."""
     in_c = tuple(file for file in files if file.suffix == ".c")
     others = tuple(str(file) for file in files if file.suffix != ".c")
     if not others:
@@ -237,7 +237,7 @@ def _include_c(source: Path, wrapper: Path) -> Path:
 
 
 def _let_time_pass(match: re.Match[str]) -> str:
-    """Return an endless loop that waits for interrupts, in as many lines, unless it is the end of a do loop."""
+    """Return the text of an endless loop that waits for interrupts, in as many lines; the end of a do loop stays unchanged."""
     if match.string[: match.start()].rstrip().endswith("}") and match[1].startswith("while"):
         return match[0]
     return f"{match[1]} PULSESTAGE_IDLE();" + "\n" * match[0][len(match[1]) :].count("\n")

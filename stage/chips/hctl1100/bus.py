@@ -35,7 +35,7 @@ def enter_init_idle_mode(chip):
 
 @hot
 def soft_reset(chip):
-    """Reset the chip as a write of 00h to R05 does."""
+    """Reset the HCTL-1100 as a write of 00h to R05 does."""
     for k in range(len(RESET_ADDRESSES)):
         chip.reg[RESET_ADDRESSES[k]] = RESET_VALUES[k]
     chip.status = chip.limit_triggered = chip.stop_triggered = 0
@@ -47,7 +47,7 @@ def soft_reset(chip):
 
 @hot
 def hard_reset(chip):
-    """Reset the chip as the RESET pin does. The clock, the input pins and the shaft stay."""
+    """Reset the HCTL-1100 as the RESET pin does. The clock, the input pins and the shaft stay."""
     for k in range(maps.ADDRESSES):
         chip.reg[k] = 0
     chip.flag_bits = chip.command = chip.command_high = chip.command_middle = chip.position_latch = chip.preset_high = (
@@ -74,7 +74,7 @@ def apply_pins(chip):
 
 @hot
 def set_pins(chip, word):
-    """Set the levels of the input pins, and apply them."""
+    """Set the levels of the HCTL-1100's input pins, and apply them."""
     if word & ~chip.inputs & state.INDEX:
         commutator.restart_ring(chip)
     chip.inputs = word
@@ -83,7 +83,7 @@ def set_pins(chip, word):
 
 @hot
 def _write_flag(chip, value):
-    """Execute a write to R00, which sets or clears one flag."""
+    """Execute a write to R00, the flag register of the HCTL-1100, which sets or clears one flag."""
     bit = 1 << (value & FLAG_NUMBER) & ALL_FLAGS & ~state.F1
     before = state.find_control_mode(chip.flag_bits)
     if bit == state.F4 and bool(value & FLAG_SET) != bool(chip.flag_bits & state.F4):
@@ -191,7 +191,7 @@ def _write_register_in_init_idle(chip, address, value):
 
 @hot
 def compute_status(chip):
-    """Compute the status byte R07."""
+    """Compute R07, the status byte of the HCTL-1100."""
     word = chip.status | (0 if chip.limit_triggered else NOT_LIMIT) | (0 if chip.stop_triggered else NOT_STOP)
     return word | (INIT_BIT if chip.mode == state.IDLE else 0) | (PROFILE_BIT if chip.flag_bits & state.F0 else 0)
 

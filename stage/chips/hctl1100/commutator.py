@@ -22,7 +22,7 @@ ALIGN_COMMAND = 127
 
 @hot
 def count_phases(chip):
-    """Return the number of motor phases, 3 or 4."""
+    """Return the number of motor phases that the HCTL-1100's commutator drives, 3 or 4."""
     return 4 if chip.status & FOUR else 3
 
 
@@ -44,7 +44,7 @@ def compute_ring_position(chip):
 
 @hot
 def restart_ring(chip):
-    """Set the count of the commutation ring to 0."""
+    """Set the count of the HCTL-1100's commutation ring to 0."""
     chip.ring_origin, chip.ring_position = read_count(chip), 0
 
 

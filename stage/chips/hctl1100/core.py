@@ -79,13 +79,13 @@ def read_net_count(chip, axis_index):
 
 @exported("i8", STATE, "i8")
 def read_counter(chip, axis_index):
-    """Return the actual position, in counts."""
+    """Return the actual position of the HCTL-1100, in counts."""
     return encoder.compute_actual_position(chip)
 
 
 @exported("i8", STATE, "i8")
 def read_inputs(chip, axis_index):
-    """Return the input pins, bits of INPUTS."""
+    """Return the input pins of the HCTL-1100, bits of INPUTS."""
     return chip.inputs
 
 
@@ -103,7 +103,7 @@ def set_input(chip, axis_index, word):
 
 @exported("i8", STATE, "i8")
 def read_status(chip, axis_index):
-    """Return the status byte R07."""
+    """Return R07, the status byte of the HCTL-1100."""
     return bus.compute_status(chip)
 
 
@@ -115,13 +115,13 @@ def peek(chip, address):
 
 @exported("i8", STATE, "i8")
 def is_busy(chip, axis_index):
-    """Return whether a trapezoid is in progress."""
+    """Return whether a trapezoid of the HCTL-1100 is in progress."""
     return chip.flag_bits & state.F0 if chip.mode == state.CONTROL else 0
 
 
 @exported("i8", STATE, "i8")
 def read_outputs(chip, axis_index):
-    """Return the output pins, bits of OUTPUTS."""
+    """Return the output pins of the HCTL-1100, bits of OUTPUTS."""
     word = (state.PROF if chip.flag_bits & state.F0 else 0) | (state.INIT if chip.mode == state.IDLE else 0)
     return word | motor_port.compute_pins(chip) | commutator.compute_phase_pins(chip)
 

@@ -87,7 +87,7 @@ def lint_write(chip: Any, read_encoder: Callable[[], int], address: int, value: 
 
 
 def _lint_flag(chip: Any, value: int) -> Iterator[Finding]:
-    """Check a write to R00."""
+    """Check a write to R00, the flag register of the HCTL-1100."""
     number = NUMBER.extract(value)
     bit, on = 1 << number, SET.extract(value)
     if bit == state.F1:
@@ -105,7 +105,7 @@ def _lint_flag(chip: Any, value: int) -> Iterator[Finding]:
 
 
 def _lint_mode(chip: Any, read_encoder: Callable[[], int], value: int) -> Iterator[Finding]:
-    """Check a write to R05."""
+    """Check a write to R05, the mode register of the HCTL-1100."""
     if value not in MODES.values:
         known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODES.values.items())
         yield UNKNOWN_MODE, f"R05 = {value:02X}h is no mode: {known}"
@@ -134,7 +134,7 @@ def _lint_mode(chip: Any, read_encoder: Callable[[], int], value: int) -> Iterat
 
 
 def _lint_control_mode(chip: Any, flags: int) -> Iterator[Finding]:
-    """Check the registers of the control mode that begins, the one that `flags` select."""
+    """Check the registers of the HCTL-1100's control mode that begins, the one that `flags` select."""
     reg = chip["reg"]
     if flags & state.F0 and not (reg[maps.ACCELERATION_FRACTION] or reg[maps.ACCELERATION_WHOLE]):
         yield NO_ACCELERATION, "a trapezoid with acceleration 0 (R27, R26) does not move and never ends"
@@ -144,7 +144,7 @@ def _lint_control_mode(chip: Any, flags: int) -> Iterator[Finding]:
 
 
 def _lint_timer(timer: int, mode: int) -> Iterator[Finding]:
-    """Check that the timer value is large enough for a control mode."""
+    """Check that the value of the sample timer is large enough for a control mode of the HCTL-1100."""
     if timer < state.MIN_TIMER_VALUES[mode]:
         least = state.MIN_TIMER_VALUES[mode]
         message = f"T = {timer:02X}h is below {least:02X}h, the least for {state.CONTROL_MODES[mode]} control"
@@ -152,7 +152,7 @@ def _lint_timer(timer: int, mode: int) -> Iterator[Finding]:
 
 
 def _lint_commutator(chip: Any) -> Iterator[Finding]:
-    """Check that the registers of the commutator agree with each other."""
+    """Check that the registers of the HCTL-1100's commutator agree with each other."""
     reg = chip["reg"]
     ring, offset, max_advance = (
         int(reg[maps.RING]),

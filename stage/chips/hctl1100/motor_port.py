@@ -11,13 +11,13 @@ PWM_PERIOD = 100  # clocks
 
 @hot
 def clip_command(chip, value):
-    """Limit a motor command to the range of the ports: -128 to 127, or 0 to 127 if F2 selects unipolar commands."""
+    """Limit a motor command to the range of the motor ports: -128 to 127, or 0 to 127 if F2 selects unipolar commands."""
     return least(greatest(value, 0 if chip.flag_bits & F2 else -128), 127)
 
 
 @hot
 def _drive_motor(chip, value):
-    """Drive the motor with a command from now on."""
+    """Drive the motor of the HCTL-1100 with a command from now on."""
     if chip.status & INHIBIT and chip.motor_command * value < 0:
         chip.pulse_off_until = chip.clock + PWM_PERIOD
     chip.motor_command = value
@@ -25,7 +25,7 @@ def _drive_motor(chip, value):
 
 @hot
 def set_command(chip, value):
-    """Put a motor command on both ports."""
+    """Put a motor command on both motor ports of the HCTL-1100."""
     chip.port = chip.pwm = value
     _drive_motor(chip, value)
 
@@ -65,7 +65,7 @@ def _compute_pulse_width(chip):
 
 @hot
 def compute_pins(chip):
-    """Compute the levels of SIGN and PULSE.
+    """Compute the levels of the pins SIGN and PULSE of the HCTL-1100.
 
     PULSE is on from the start of each period of 100 clocks, for as many clocks as the command has hundredths. The first period
     begins at clock 0.

@@ -16,14 +16,14 @@ CLOCKS_PER_COUNT = 16  # clocks
 
 @hot
 def start_period(chip):
-    """Begin to count down from the value that R0F holds."""
+    """Begin a period of the sample timer: count down from the value that R0F holds."""
     chip.period = chip.reg[T]
     chip.sample_end = chip.clock + CLOCKS_PER_COUNT * (chip.period + 1)
 
 
 @hot
 def run_in_init_idle(chip, until):
-    """Reload the timer at each end of its period up to `until`. In Init/Idle a sample has no other effect."""
+    """Reload the sample timer at each end of its period up to `until`. In Init/Idle a sample has no other effect."""
     if until >= chip.sample_end:
         chip.period = chip.reg[T]
         period = CLOCKS_PER_COUNT * (chip.period + 1)
@@ -32,7 +32,7 @@ def run_in_init_idle(chip, until):
 
 @hot
 def skip_samples(chip, samples):
-    """Skip a number of whole sample periods, in which nothing but the time changes."""
+    """Skip a number of whole sample periods of the HCTL-1100, in which nothing but the time changes."""
     rest = samples * CLOCKS_PER_COUNT * (chip.period + 1)
     chip.clock += rest
     chip.sample_end += rest

@@ -92,7 +92,7 @@ def _advance_time(chip, until):
 
 @hot
 def _advance_drives(chip, until):
-    """Advance the clock, and the drives of single axes, to `until`."""
+    """Advance the clock of the NOVA chip, and the drives of single axes, to clock `until`."""
     for j in range(chip.axes):
         if chip.ax[j].driving:
             single_axis_drive.begin_pulses_until(chip, chip.ax[j], until)
@@ -120,13 +120,13 @@ def run(chip, until):
 
 @exported("i8", STATE, "i8")
 def read_net_count(chip, axis_index):
-    """Return the net number of pulses since power-up."""
+    """Return the net number of pulses (plus less minus) of the axis since power-up."""
     return chip.ax[axis_index].net
 
 
 @exported("i8", STATE, "i8")
 def read_counter(chip, axis_index):
-    """Return the logical position counter LP."""
+    """Return LP, the logical position counter of the axis."""
     return chip.ax[axis_index].reg[state.LP]
 
 
@@ -202,7 +202,7 @@ def set_wire_word(chip, word):
 
 @exported("i8", STATE, "i8")
 def read_status(chip, axis_index):
-    """Return RR0."""
+    """Return RR0, the main status of the NOVA chip."""
     return read_word(chip, 0)
 
 
@@ -218,7 +218,7 @@ def peek(chip, address):
 
 @exported("i8", STATE, "i8")
 def is_busy(chip, axis_index):
-    """Return whether a drive is in progress, n-DRV of RR0."""
+    """Return whether the axis has a drive in progress, bit n-DRV of RR0."""
     return is_axis_busy(chip.ax[axis_index])
 
 

@@ -74,7 +74,7 @@ STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
 
 
 class LintState:
-    """Contents of a chip before a write, as its lint reads them.
+    """Contents of a NOVA chip before a write, as the lint (check against the data sheet) reads them.
 
     Args:
         record: State of the chip.
@@ -197,12 +197,12 @@ class LintState:
 
     @property
     def tp_values(self) -> tuple[int, ...]:
-        """TP of every axis: number of pulses of a drive, or finish point of an interpolation."""
+        """TP of every axis: the number of pulses of a drive, or the finish point of an interpolation."""
         return tuple(int(x["reg"][state.TP]) for x in self._record["ax"])
 
     @property
     def helix_ticks(self) -> int:
-        """HLV of the MCX514."""
+        """HLV of the MCX514: the number of ticks of a helix."""
         return int(self._axes[0]["reg"][state.HLV])
 
 
@@ -250,7 +250,7 @@ def lint_write(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterat
 
 
 def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]:
-    """Check a word to WR0."""
+    """Check a command, a word that is written to WR0."""
     if reserved := value & map_.mask("WR0", "zero"):
         yield RESERVED_BITS, f"WR0 = {value:04X}h: {_name_bits(reserved)} must be 0"
     if value & RESET:
@@ -434,11 +434,11 @@ def _lint_fields(place: Register | Word, word: int, section: str) -> Iterator[Fi
 
 
 def _name_bits(mask: int) -> str:
-    """Return the numbers of the bits of a mask in words."""
+    """Return the numbers of the bits that are set in a mask, in words."""
     numbers = [str(k) for k in range(15, -1, -1) if mask >> k & 1]
     return f"bit{'s' if len(numbers) > 1 else ''} {' and '.join(numbers)}"
 
 
 def _name_axes(axes: int) -> str:
-    """Return the names of the axes of a mask in words."""
+    """Return the names of the axes whose bits are set in a mask, in words."""
     return ", ".join(a for k, a in enumerate(AXES) if axes >> k & 1)

@@ -13,7 +13,7 @@ from stage.native import hot
 
 @hot
 def is_blocked(chip):
-    """Return whether a limit switch of the direction is asserted, or ORG during an origin return."""
+    """Return whether a limit switch of the move's direction is asserted, or ORG during an origin return."""
     return chip.active_inputs & (state.EL_MINUS if chip.minus else state.EL_PLUS) or (
         chip.origin_return and chip.active_inputs & state.ORG
     )
@@ -21,7 +21,7 @@ def is_blocked(chip):
 
 @hot
 def _execute_operating_command(chip, value):
-    """Execute a command of group 00: start, stop, or change of speed."""
+    """Execute an operating command of the PCL-240 (group 00): start, stop, or change of speed."""
     chip.int_at_stop = 1 if value & state.INT_AT_STOP else 0
     if not chip.int_at_stop:
         chip.irq = 0
@@ -52,7 +52,7 @@ def _execute_operating_command(chip, value):
 
 @hot
 def _store_register(chip, register_number, value):
-    """Store the writable bits of a register.
+    """Store the writable bits of a register of the PCL-240.
 
     Args:
         chip: State of the chip.
@@ -140,7 +140,7 @@ def read_register(chip, register_number):
 
 @hot
 def compute_outputs(chip):
-    """Compute the output pins, bits of OUTPUTS. A set bit means asserted; active-low pins are then low."""
+    """Compute the output pins of the PCL-240, bits of OUTPUTS. A set bit means asserted; active-low pins are then low."""
     word = 0 if chip.running or chip.finishing else state.HOLD
     goal = find_goal_speed(chip)
     if not chip.running or not chip.uses_ramps:
@@ -169,7 +169,7 @@ def compute_outputs(chip):
 
 @hot
 def _compute_status(chip):
-    """Compute the status byte."""
+    """Compute the status byte of the PCL-240."""
     word = compute_outputs(chip)
     status = 0 if word & state.IRQ else state.S_NO_INT
     if not word & state.HOLD:

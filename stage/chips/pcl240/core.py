@@ -25,13 +25,13 @@ __all__ = [
 
 @exported("i8", STATE, "i8")
 def read_net_count(chip, axis_index):
-    """Return the net number of pulses since power-up."""
+    """Return the net number of pulses (plus less minus) of the PCL-240 since power-up."""
     return chip.net
 
 
 @exported("i8", STATE, "i8")
 def read_counter(chip, axis_index):
-    """Return the down counter R0."""
+    """Return R0, the down counter of the PCL-240."""
     return chip.reg[0]
 
 
@@ -42,7 +42,7 @@ def set_shaft(chip, axis_index, count, rate):
 
 @exported("i8", STATE, "i8")
 def read_inputs(chip, axis_index):
-    """Return the input pins, bits of INPUTS."""
+    """Return the input pins of the PCL-240, bits of INPUTS."""
     return chip.inputs
 
 
@@ -64,7 +64,7 @@ def set_input(chip, axis_index, word):
 
 @exported("i8", STATE, "i8")
 def read_status(chip, axis_index):
-    """Return the status byte."""
+    """Return the status byte of the PCL-240."""
     return read_byte(chip, 0)
 
 
@@ -82,7 +82,7 @@ def is_busy(chip, axis_index):
 
 @exported("i8", STATE, "i8")
 def read_outputs(chip, axis_index):
-    """Return the output pins, bits of OUTPUTS."""
+    """Return the output pins of the PCL-240, bits of OUTPUTS."""
     return compute_outputs(chip)
 
 
@@ -119,7 +119,7 @@ def compute_drive_input(chip, axis_index, net_before, clocks):
 
 @hot
 def _find_pulse_pin(chip):
-    """Return the output pin that carries the pulses of the present direction."""
+    """Return the output pin of the PCL-240 that carries the pulses of the present direction."""
     return state.PDIR if chip.output_mode & state.INDEPENDENT and chip.minus else state.POUT
 
 

@@ -137,7 +137,7 @@ STATUS = Word(
 
 
 def _add_fields(word: Word, *more: Field) -> Word:
-    """Return a copy of a word with further fields, in the order of their bits."""
+    """Return a copy of a word of the register map with further fields, in the order of their bits."""
     return replace(word, fields=tuple(sorted((*word.fields, *more), key=lambda f: -f.high)))
 
 
@@ -168,7 +168,7 @@ EXTENDED_OUTPUT_MODE = _add_fields(
 
 
 def _make_registers(rate_bits: int, ramp_down_point: Register, extended: bool) -> tuple[Register, ...]:
-    """Return R0 to R7.
+    """Return the registers R0 to R7 of the PCL-240 family.
 
     Args:
         rate_bits: Width of R4 and R5.

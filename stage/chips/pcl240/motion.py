@@ -36,7 +36,7 @@ FOREVER = 1 << 62
 
 @hot
 def _sample_inputs(chip):
-    """Sample the inputs in the first tick after a change, and return the pins that have become asserted.
+    """Sample the inputs of the PCL-240 in the first tick after a change; return the pins that have become asserted.
 
     With external counting R0 counts on the rising edge of EXTP.
     """
@@ -99,7 +99,7 @@ def _finish_pulse(chip, ticks):
 
 @hot
 def run_to_event(chip, ticks):
-    """Advance the chip by 1 to `ticks` clocks, up to the next event, and return the number of clocks."""
+    """Advance the PCL-240 by 1 to `ticks` clocks, up to the next event, and return the number of clocks."""
     ran, chip.quiet_until = chip.running, 0
     rising = _sample_inputs(chip) if chip.active_inputs != chip.last_inputs else 0
     if chip.running and (chip.passed_org or is_blocked(chip)):
@@ -318,7 +318,7 @@ def _run_ramp_steps(chip, until):
 
 @hot
 def _count_pulses(chip, pulses, counts_output):
-    """Add pulses that have begun to the counters.
+    """Add pulses that have begun to the counters of the PCL-240.
 
     Args:
         chip: State of the chip.

@@ -35,7 +35,7 @@ def read_selected_speed(chip):
 
 @hot
 def is_slowed_by_sd(chip):
-    """Return whether SD is enabled and the SD switch of the direction is asserted."""
+    """Return whether the input SD is enabled and the slow-down switch of the move's direction is asserted."""
     return chip.sd_enable and chip.active_inputs & (state.SD_MINUS if chip.minus else state.SD_PLUS)
 
 
@@ -56,7 +56,7 @@ def compute_ramp_down_margin(chip):
 
 @hot
 def find_goal_speed(chip):
-    """Return the speed to which a ramp leads: FL or the selected speed."""
+    """Return the speed to which a ramp of the PCL-240 leads: FL or the selected speed."""
     if chip.stopping or chip.ramp_down_due or chip.passed_org or is_slowed_by_sd(chip):
         return chip.reg[1]
     if chip.preset and chip.reg[0] < chip.reg[6] and not is_ramp_down_automatic(chip):
@@ -126,7 +126,7 @@ def _compute_curve_time(chip, step_index):
 
 @hot
 def _start_ramp(chip, goal_speed, direction):
-    """Start a ramp.
+    """Start a ramp of the PCL-240 to another speed.
 
     Args:
         chip: State of the chip.
@@ -152,7 +152,7 @@ def _compute_twice_curved_end_steps(chip):
 
 @hot
 def read_linear_rate(chip, direction):
-    """Return the rate of a linear ramp: R4 or R5; after the automatic ramp-down point R4 in both directions."""
+    """Return the acceleration rate of a linear ramp: R4 or R5; after the automatic ramp-down point R4 in both directions."""
     return chip.reg[4] if direction > 0 or chip.ramp_down_due else chip.reg[5]
 
 
@@ -164,7 +164,7 @@ def schedule_next_step(chip):
 
 @hot
 def _compute_step_time(chip, step_index):
-    """Compute the clock, counted from the start of the ramp, at which step `step_index` comes."""
+    """Compute the clock, counted from the start of the ramp, at which speed step `step_index` of an S-curve comes."""
     if chip.ramp_direction > 0:
         return _compute_curve_time(chip, step_index)
     return 1 + (_compute_curve_time(chip, step_index - 1) if step_index > 1 else 0)
@@ -172,7 +172,7 @@ def _compute_step_time(chip, step_index):
 
 @hot
 def finish_step(chip):
-    """Finish a step of the S-curve, and schedule the next one.
+    """Finish a speed step of an S-curve ramp, and schedule the next one.
 
     New values that a host has written to the ramp's registers since the last step take effect now: the clock of the ramp is set to
     that at which a ramp with these values from its start would take the same step.

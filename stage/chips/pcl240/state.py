@@ -181,7 +181,7 @@ def update_active_inputs(chip):
 
 @hot
 def begin_run(chip):
-    """Clear the state that a run does not take over from the run before it."""
+    """Clear the state that a run of the PCL-240 does not take over from the run before it."""
     chip.phase = chip.ramp_clocks = chip.ramp_direction = chip.curved_ramp = chip.fdown_end = 0
     chip.speed_rising = chip.rise_pulses = chip.automatic_off = chip.ramp_down_due = chip.corrected_speed = (
         chip.corrected_select
@@ -191,7 +191,7 @@ def begin_run(chip):
 
 @hot
 def end_run(chip):
-    """End the operation: status bit 6 falls, and /INT is asserted if the command asks for it."""
+    """End the run of the PCL-240: status bit 6 falls, and /INT is asserted if the command asks for it."""
     chip.finishing = 0
     if chip.int_at_stop:
         chip.irq = 1
@@ -199,7 +199,7 @@ def end_run(chip):
 
 @hot
 def stop_run(chip):
-    """Stop the run. A pulse in progress is completed first."""
+    """Stop the run of the PCL-240. A pulse in progress is completed first."""
     chip.running = chip.armed = chip.stopping = chip.ez_started = 0
     if chip.pout_low:
         chip.finishing = 1

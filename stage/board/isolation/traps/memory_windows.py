@@ -127,7 +127,7 @@ class MemoryWindows:
         _install_handler()
 
     def close(self) -> None:
-        """Release the windows."""
+        """Release the memory windows: accesses to their addresses are no bus cycles any more."""
         for begin, end in self._pages:
             _libc.munmap(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin))
         if self._pages:
@@ -135,12 +135,12 @@ class MemoryWindows:
             self._publish()
 
     def allow_stack(self) -> None:
-        """Allow the handler to access the stack of this thread."""
+        """Allow the fault handler to access the stack of this thread."""
         if is_supported():
             self._memory.append((*_find_stack(), x86_execution.READABLE | x86_execution.WRITABLE | x86_execution.STACK))
 
     def _publish(self) -> None:
-        """Inform the handler of windows, their pages and accessible memory."""
+        """Inform the fault handler of the memory windows, their pages and the memory that it may access."""
         at = self._link.pointer
         rows = [(w.address, w.end, x86_execution.WINDOW, w.port, at) for w in self._windows]
         rows += [(begin, end, x86_execution.PAGE, 0, at) for begin, end in self._pages]
@@ -180,7 +180,7 @@ class MemoryWindows:
         )
 
     def _format_moment(self) -> str:
-        """Return the time, the number of bus cycles and the last lines of the trace, in words."""
+        """Return the simulated time, the number of bus cycles and the last lines of the bus trace, in words."""
         board = self._link.board
         return f"at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. {board.trace.format_ending(12)}"
 
@@ -203,7 +203,7 @@ def _get_address(function: Any) -> int:
 
 
 def _make_thunk() -> int:
-    """Make the handler in machine code, and return its address.
+    """Make the entry of the fault handler in machine code, and return its address.
 
     It calls `handle_fault` with an INSTRUCTION record on the stack, and jumps to the previous handler if that is requested.
     """

@@ -95,7 +95,7 @@ def watch_crashes(note: Callable[[bytes], None]) -> None:
     libc.backtrace(calls, MAX_DEPTH)  # the first call loads a library
 
     def handle(number: int, info: int, context: int) -> None:
-        """Report the crash, and restore the default handling of the signal."""
+        """Report the crash that caused a signal, and restore the default handling of the signal."""
         libc.signal(number, None)
         if os.getpid() != owner:
             os.kill(owner, signal.SIGABRT)  # the run is to fail
@@ -129,7 +129,7 @@ def _describe_crash(libc: Any, calls: Any, number: int, info: int, context: int)
     """Read from the records of a signal what has happened."""
 
     def word(at: int) -> int:
-        """Return the 64-bit word at an offset of the signal's context."""
+        """Return the 64-bit word at an offset of the signal's context, which holds the processor's registers."""
         return int(ctypes.c_uint64.from_address(at).value)
 
     places = _CONTEXT.get(platform.machine(), {})
@@ -150,7 +150,7 @@ def _describe_crash(libc: Any, calls: Any, number: int, info: int, context: int)
 
 
 def _is_from_a_fork(number: int, info: int) -> bool:
-    """Return whether another process has sent the signal, see `watch_crashes`."""
+    """Return whether another process has sent the signal, as `watch_crashes` has to know."""
     code, sender = ctypes.c_int.from_address(info + _CODE).value, ctypes.c_int.from_address(info + _SENDER).value
     return number == signal.SIGABRT and code == 0 and sender != os.getpid()
 
@@ -159,7 +159,7 @@ def _is_from_a_fork(number: int, info: int) -> bool:
 
 
 def find_position(thread: threading.Thread | None) -> tuple[int, int]:
-    """Return the program counter of a thread and the word on top of its stack; (0, 0) if they cannot be found.
+    """Return a thread's program counter and the word on top of its stack; (0, 0) if they cannot be found.
 
     A signal makes the thread store them and continue. The handler consists of a few bytes of machine code, because the thread may
     be anywhere, even in malloc.
@@ -223,7 +223,7 @@ class SignalHandlers:
         self._before = {number: get_action(number) for number in sorted(numbers)}
 
     def remove_handlers(self, file: str) -> None:
-        """Restore the handlers that a library has replaced.
+        """Restore the signal handlers that a library has replaced.
 
         A signal without a former handler is ignored, because it may still come.
         """

@@ -79,7 +79,7 @@ def list_loaded_libraries(handle: int) -> Iterator[LoadedLibrary]:
 
 
 def observe_calls(handle: int) -> None:
-    """Report calls that sleep or start a thread, made by the library with this handle and by those that were loaded with it."""
+    """Report calls that sleep or start a thread, made by the library with this handle and by the libraries loaded with it."""
     for name in _THREAD_CREATORS | _SLEEPS.keys():
         if name not in _functions:
             _functions[name] = _CALL(_make_reporter(name))
@@ -96,7 +96,7 @@ def _make_reporter(name: str) -> Callable[..., int]:
     """Make a function that calls the system's function of this name and reports the call."""
 
     def call_and_report(*arguments: int) -> int:
-        """Report the call and make it."""
+        """Report this call of a system function to the observer, and make it."""
         observer = _observer if _observer is not None and _observer.thread == (os.getpid(), get_ident()) else None
         if observer is not None and name in _SLEEPS and (words := _SLEEPS[name](*arguments)):
             observer.on_sleep(words)
@@ -109,7 +109,7 @@ def _make_reporter(name: str) -> Callable[..., int]:
 
 
 def _redirect(library: LoadedLibrary, functions: Mapping[str, Any]) -> None:
-    """Set the slots by which a library calls these functions, unless the library defines functions of these names itself."""
+    """Set the slots by which a library calls these functions, unless the library itself defines functions of these names."""
     base, tags, at = library.base, {}, library.dynamic
     while tag := ctypes.c_int64.from_address(at).value:
         tags[tag] = ctypes.c_uint64.from_address(at + 8).value
@@ -135,7 +135,7 @@ def _make_absolute(address: int, base: int) -> int:
 
 
 def _set_slot(slot: int, address: int) -> None:
-    """Write an address into a slot, whose page may be read-only."""
+    """Write an address into a slot of a library's table of imported functions, whose page may be read-only."""
     page = slot // mmap.PAGESIZE * mmap.PAGESIZE
     if ctypes.CDLL(None).mprotect(ctypes.c_void_p(page), mmap.PAGESIZE, mmap.PROT_READ | mmap.PROT_WRITE) == 0:
         ctypes.c_uint64.from_address(slot).value = address

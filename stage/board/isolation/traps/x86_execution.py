@@ -76,13 +76,13 @@ def sign_extend(value, size):
 
 @hot
 def _find_place(number):
-    """Return the place of a register in the saved registers, from its number in instructions."""
+    """Return the place of an x86 register among the saved registers, from its number in instructions."""
     return PLACES >> 4 * number & 15
 
 
 @hot
 def read_register(state, number, size):
-    """Return the lowest `size` bytes of register `number`."""
+    """Return the lowest `size` bytes of the x86 register with this number."""
     regs = array_at(state.regs, REGISTERS, _I8)
     if size == 1 and state.rex == 0 and 4 <= number < 8:  # AH, CH, DH, BH
         return sign_extend(int(regs[_find_place(number - 4)]) >> 8, 1)
@@ -91,7 +91,7 @@ def read_register(state, number, size):
 
 @hot
 def write_register(state, number, size, value):
-    """Write the lowest `size` bytes of register `number`.
+    """Write the lowest `size` bytes of the x86 register with this number.
 
     As on the processor, a write of 4 bytes clears the upper half, and a smaller one leaves the other bytes.
     """
@@ -110,13 +110,13 @@ def write_register(state, number, size, value):
 
 @hot
 def _on_stack(state, address, size):
-    """Return whether `size` bytes at an address are on the part of the stack that exists in any thread."""
+    """Return whether `size` bytes at an address are on the part of the stack that exists in any thread of the firmware."""
     return state.floor <= address and address + size <= state.stack + ABOVE_STACK
 
 
 @hot
 def find_span(space, address):
-    """Return the address of the first SPAN that contains an address, or 0."""
+    """Return the address of the first SPAN (range of memory of one kind) that contains an address, or 0."""
     first, k = int(space.spans), 0
     spans = array_at(first, SPANS, SPAN)
     while spans[k].kind:
@@ -128,14 +128,14 @@ def find_span(space, address):
 
 @hot
 def _is_window(space, address):
-    """Return whether an address lies in a window."""
+    """Return whether an address lies in a memory window, where accesses become bus cycles of the board."""
     at = find_span(space, address)
     return at != 0 and array_at(at, 1, SPAN)[0].kind & WINDOW != 0
 
 
 @hot
 def _load_signed(address, size):
-    """Read a signed number of `size` bytes from memory."""
+    """Read a signed number of `size` bytes from ordinary memory."""
     content, value = array_at(address, size, _U1), 0
     for k in range(size):
         value |= int(content[k]) << 8 * k
@@ -144,7 +144,7 @@ def _load_signed(address, size):
 
 @hot
 def _make_cycle(space, span, address, size, value, writes):
-    """Make the bus cycle of an access to a window; two of 32 bits for 64."""
+    """Execute the bus cycle of an access to a memory window; an access of 64 bits makes two cycles of 32."""
     port, half = int(span.port + address - span.begin), 4 if size == 8 else size
     if writes:
         operation = host_record.OUT8 if half == 1 else host_record.OUT16 if half == 2 else host_record.OUT32
@@ -158,7 +158,10 @@ def _make_cycle(space, span, address, size, value, writes):
 
 @hot
 def access_memory(state, space, address, size, value, writes):
-    """Read or write memory, by a bus cycle if it is a window; return the value read. An impossible access sets the status."""
+    """Read or write memory, by a bus cycle in a memory window; return the value read.
+
+    An impossible access sets `state.status`.
+    """
     if not _on_stack(state, address, size):
         at = find_span(space, address)
         if at == 0:
@@ -186,14 +189,14 @@ def access_memory(state, space, address, size, value, writes):
 
 @hot
 def read_code(state, size):
-    """Read the next `size` bytes of the instruction, signed."""
+    """Read the next `size` bytes of the present x86 instruction as a signed number."""
     state.at += size
     return _load_signed(state.at - size, size)
 
 
 @hot
 def decode_modrm(state):
-    """Decode the byte after the opcode, and find the address of operand E.
+    """Decode the ModRM byte after an x86 opcode, and find the address of operand E.
 
     Return whether it is relative to the end of the instruction.
     """
@@ -227,7 +230,7 @@ def decode_modrm(state):
 
 @hot
 def read_operand(state, space, kind, size):
-    """Return the value of an operand; 0, with a status, if it cannot be read."""
+    """Return the value of an operand of an x86 instruction; 0, with a status in `state`, if it cannot be read."""
     if kind == x86.E and state.memory:
         return access_memory(state, space, state.ea, size, 0, False)
     if kind in (x86.E, x86.R):
@@ -247,7 +250,7 @@ def read_operand(state, space, kind, size):
 
 @hot
 def write_operand(state, space, kind, size, value):
-    """Write an operand, or set a status if it cannot be written."""
+    """Write an operand of an x86 instruction, or set a status in `state` if it cannot be written."""
     if kind == x86.E and state.memory:
         access_memory(state, space, state.ea, size, value, True)
     elif kind in (x86.E, x86.R):
@@ -262,7 +265,7 @@ def write_operand(state, space, kind, size, value):
 
 @hot
 def _set_flags(state, mask, carry, overflow, result):
-    """Store the flags of a result, of which those in `mask` will be written to the processor."""
+    """Store the flags of an x86 instruction's result. Only the flags in `mask` will be written to the processor."""
     low = result & 0xFF
     low ^= low >> 4
     new = (CF if carry else 0) | (OF if overflow else 0) | (ZF if result == 0 else 0) | (SF if result < 0 else 0)
@@ -272,7 +275,7 @@ def _set_flags(state, mask, carry, overflow, result):
 
 @hot
 def is_condition_met(flags, condition):
-    """Return whether a condition, for example that of a jump, is met by the flags."""
+    """Return whether the processor flags meet the condition of an x86 instruction, for example of a conditional jump."""
     k = condition >> 1 & 7
     differ = (flags & SF != 0) != (flags & OF != 0)
     if k >= 6:
@@ -285,7 +288,7 @@ def is_condition_met(flags, condition):
 
 @hot
 def compute_sum(state, operation, left, right, size):
-    """Compute a sum, a difference or a bitwise operation, and its flags."""
+    """Compute a sum, a difference or a bitwise operation of an x86 instruction, and set the flags in `state`."""
     carry = overflow = False
     adjust, mask = 0, CF | PF | AF | ZF | SF | OF
     old = int(array_at(state.regs, REGISTERS, _I8)[FLAGS]) & CF
@@ -310,7 +313,7 @@ def compute_sum(state, operation, left, right, size):
 
 @hot
 def compute_shift(state, operation, left, count, size):
-    """Compute a shift or a rotation, and its flags."""
+    """Compute a shift or a rotation of an x86 instruction, and set the flags in `state`."""
     bits = 8 * size
     count &= 63 if size == 8 else 31
     state.mask = 0
@@ -341,7 +344,7 @@ def compute_shift(state, operation, left, count, size):
 
 @hot
 def change_bit(state, operation, left, number, size):
-    """Copy one bit to the carry flag, and set, reset or invert the bit."""
+    """Copy one bit to the carry flag, and set, reset or invert it, as the x86 instructions BT, BTS, BTR and BTC do."""
     one = 1 << number
     _set_flags(state, CF, left >> number & 1 == 1, False, 0)
     if operation == x86.BT:
@@ -356,7 +359,7 @@ _ROWS = x86.GROUPS + 8 * (x86.GROUP_DONE - x86.GROUP)
 
 @hot
 def _execute_string(state, space, operation, size):
-    """Execute MOVS or STOS once, or as often as RCX says."""
+    """Execute the x86 string instruction MOVS or STOS once, or RCX times if it has a repeat prefix."""
     regs = array_at(state.regs, REGISTERS, _I8)
     if regs[FLAGS] & DF:
         state.status = LEFT
@@ -379,7 +382,7 @@ def _execute_string(state, space, operation, size):
 
 @hot
 def _execute_jump(state, space, operation, value):
-    """Execute a jump, or an instruction that uses the stack."""
+    """Execute an x86 jump, or an x86 instruction that uses the stack."""
     regs = array_at(state.regs, REGISTERS, _I8)
     top = int(regs[RSP])
     if operation in (x86.JMP, x86.JCC):
@@ -406,7 +409,7 @@ def _execute_jump(state, space, operation, value):
 
 @hot
 def _compute_move(state, operation, size, source_size, value, condition):
-    """Compute the value that a move, or a similar instruction, writes to its target."""
+    """Compute the value that an x86 move, or a similar x86 instruction, writes to its target."""
     if operation == x86.MOVZX:
         return value & ((1 << 8 * source_size) - 1)
     if operation == x86.NOT:
@@ -430,7 +433,7 @@ def _compute_move(state, operation, size, source_size, value, condition):
 
 @hot
 def _execute_exchange(state, space, opcode, size, value):
-    """Execute XCHG."""
+    """Execute the x86 instruction XCHG, which exchanges two operands."""
     other = read_operand(state, space, opcode.target, size)
     if state.status == DONE:
         write_operand(state, space, opcode.target, size, value)
@@ -440,7 +443,7 @@ def _execute_exchange(state, space, opcode, size, value):
 
 @hot
 def _execute_arithmetic(state, space, opcode, operation, size, value):
-    """Execute an arithmetic or logical instruction on its target and a value."""
+    """Execute an arithmetic or logical x86 instruction on its target and a value."""
     if x86.BT <= operation <= x86.BTC:
         if opcode.source == x86.IMM:
             value &= 8 * size - 1
@@ -461,7 +464,7 @@ def _execute_arithmetic(state, space, opcode, operation, size, value):
 
 @hot
 def _execute_decoded(state, space, opcode, operation, size, source_size, code):
-    """Execute a decoded instruction; its flags are stored in `state`."""
+    """Execute a decoded x86 instruction; the processor flags that result are stored in `state`."""
     if operation >= x86.MOVS:
         _execute_string(state, space, operation, size)
         return
@@ -485,7 +488,7 @@ def _execute_decoded(state, space, opcode, operation, size, source_size, code):
 
 @hot
 def _read_opcode(state):
-    """Read the prefixes and the opcode of an instruction; the result is 100h | opcode for one after 0Fh."""
+    """Read the prefixes and the opcode of an x86 instruction; the result is 100h | opcode for one after 0Fh."""
     code = read_code(state, 1) & 0xFF
     while True:
         if code == 0x66:
@@ -509,7 +512,10 @@ def _read_opcode(state):
 
 @hot
 def _read_immediate(state, length_code, size):
-    """Read the number in an instruction, whose length `n` is a code of OPCODE."""
+    """Read the immediate number in an x86 instruction.
+
+    `length_code` is the code of its length `n` in an OPCODE record.
+    """
     if length_code:
         state.immediate = read_code(
             state,
@@ -525,7 +531,10 @@ def _read_immediate(state, length_code, size):
 
 @hot
 def execute_instruction(state, space):
-    """Execute the instruction at RIP, and move RIP behind it. If `state.status` is not DONE, nothing has happened."""
+    """Execute the x86 instruction at RIP, and move RIP behind it.
+
+    If `state.status` is not DONE, nothing has happened.
+    """
     regs = array_at(state.regs, REGISTERS, _I8)
     state.start = state.at = regs[RIP]
     state.status, state.rex, state.memory, state.ea, state.mask, state.prefixes = DONE, 0, 0, 0, 0, 0
@@ -561,7 +570,7 @@ def execute_instruction(state, space):
 
 @exported("i4", "i4", "i8", "i8", SPACE, INSTRUCTION)
 def handle_fault(number, info, context, space, state):
-    """Handle a fault; return 0 for a fault that is no access to a window.
+    """Handle a memory fault of the firmware; return 0 for a fault that is no access to a memory window.
 
     C prototype: int32_t handle_fault(int32_t signal, siginfo_t *, ucontext_t *, SPACE *, INSTRUCTION *). The thunk of
         memory_windows.py

@@ -74,11 +74,11 @@ MEMBERS = (
 
 
 def _make_table() -> np.ndarray:
-    """Build the table of OPCODE records."""
+    """Build the table of OPCODE records, one for each x86 opcode that the x86 interpreter executes."""
     table = np.zeros(GROUPS + 8 * (GROUP_DONE - GROUP), OPCODE)
 
     def put(opcode: int, operation: int, target: int, source: int, size: int, source_size: int, immediate: int) -> None:
-        """Store one entry."""
+        """Store the OPCODE record of one x86 opcode in the table."""
         modrm = E in (target, source) or G in (target, source) or opcode in (0x11E, 0x11F)
         by_address = immediate == 8  # it says the address of E itself
         table[opcode] = (operation, 1, modrm and not by_address, size, source_size, target, source, immediate)

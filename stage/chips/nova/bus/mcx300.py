@@ -130,7 +130,7 @@ def apply_mode_registers(chip, axis):
 
 @hot
 def _write_parameter(chip, axis, code, value):
-    """Write a parameter of an axis.
+    """Write a parameter of an axis by its command code.
 
     Args:
         chip: State of the chip.
@@ -187,7 +187,7 @@ def _execute_axis_command(chip, axis, axis_index, code):
 
 @hot
 def execute_command(chip, value):
-    """Execute a write to WR0."""
+    """Execute a write to WR0, the command register of an MCX300 series chip."""
     chip.has_unused_data = 0
     if value == RESET:
         reset_chip(chip)
@@ -250,7 +250,7 @@ def write_register(chip, address, value):
 
 @hot
 def _compute_comparisons(axis):
-    """Compute CMP+ and CMP-, bits of RR1."""
+    """Compute CMP+ and CMP-, the comparison bits of RR1, of an axis."""
     counter = counters.read_limited_counter(axis)
     return (CMP_PLUS if counter >= axis.reg[state.COMP_PLUS] else 0) | (
         CMP_MINUS if counter < axis.reg[state.COMP_MINUS] else 0
@@ -280,7 +280,7 @@ def compute_errors(chip, axis):
 
 @hot
 def compute_status(chip):
-    """Compute RR0."""
+    """Compute RR0, the main status of an MCX300 series chip."""
     word = 0
     for j in range(chip.axes):
         axis = chip.ax[j]
@@ -314,7 +314,7 @@ def _compute_input_levels(chip, axis, axis_index):
 
 @hot
 def compute_interrupt_factors(axis):
-    """Compute the interrupt factors in RR3."""
+    """Compute the interrupt factors of an axis that RR3 shows."""
     word = axis.comparison_events  # PULSE and the comparisons, see comparators.py
     word |= (CONSTANT_END if axis.events & state.C_END else 0) | (CONSTANT_START if axis.events & state.C_STA else 0)
     return word | (DRIVE_END if axis.events & state.D_END else 0) | (HOME_END if axis.events & state.H_END else 0)

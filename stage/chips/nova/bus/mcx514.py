@@ -133,7 +133,7 @@ def _read_data_registers(chip):
 
 @hot
 def _write_parameter(chip, axis, code, value):
-    """Write a parameter of an axis.
+    """Write a parameter of an axis by its command code.
 
     Args:
         chip: State of the chip.
@@ -153,7 +153,7 @@ def _write_parameter(chip, axis, code, value):
 
 @hot
 def _execute_read_command(chip, code):
-    """Execute a data reading command, which fills RR6 and RR7."""
+    """Execute a data reading command, which copies a register of an axis to RR6 and RR7."""
     axis = chip.ax[find_lowest_axis(chip)]
     place = PLACES[code]
     if code == R_TX:
@@ -224,7 +224,7 @@ def _execute_axis_command(chip, axis, axis_index, code):
 
 @hot
 def execute_command(chip, value):
-    """Execute a write to WR0."""
+    """Execute a write to WR0, the command register of a chip of the MCX514's kind."""
     chip.has_unused_data = 0
     code, axes = value & CODE, (value & AXIS_BITS) >> FIRST_AXIS
     if axes == 0 and code == RST:
@@ -308,7 +308,7 @@ def _is_high(axis, bit):
 
 @hot
 def _compute_rr3_page_0(chip, axis):
-    """Compute page 0 of RR3: input levels and the home state."""
+    """Compute page 0 of RR3 of an axis: input levels and the state of the home search."""
     return (
         _is_high(axis, state.STOP0) | _is_high(axis, state.STOP1) << 1 | _is_high(axis, state.STOP2) << 2
         | (1 - _is_high(axis, state.ECA)) << 3 | (1 - _is_high(axis, state.ECB)) << 4
@@ -319,7 +319,7 @@ def _compute_rr3_page_0(chip, axis):
 
 @hot
 def compute_status(chip):
-    """Compute RR0."""
+    """Compute RR0, the main status of a chip of the MCX514's kind."""
     word = 0
     for j in range(state.AXES):
         axis = chip.ax[j]

@@ -31,7 +31,7 @@ def has_encoder(chip, axis_index):
 
 @hot
 def _find_edge(axis, clock):
-    """Return the number of the last edge that the shaft has passed at a clock."""
+    """Return the number of the last encoder edge that the shaft has passed at a clock."""
     at = axis.shaft_edges + axis.shaft_rate * (clock - axis.shaft_clock) + 0.5
     return int(floor(least(greatest(at, -MAX_EDGE), MAX_EDGE)))
 
@@ -44,7 +44,7 @@ def _count_edges_with_remainder(first_edge, last_edge, remainder):
 
 @hot
 def _count_rp_steps(mode, begin, end):
-    """Count the steps of RP from edge `begin` to edge `end`: every edge, every second, every fourth, or up and down."""
+    """Count the steps of RP, the real position counter, from edge `begin` to edge `end` in a counting mode."""
     if mode != UP_DOWN:
         return (end >> mode) - (begin >> mode)
     if end >= begin:
@@ -56,7 +56,7 @@ def _count_rp_steps(mode, begin, end):
 
 @hot
 def _set_encoder_pins(axis, edge):
-    """Set the levels of ECA and ECB after an edge. They bypass the filters."""
+    """Set the levels of the encoder inputs ECA and ECB after an edge. They bypass the input filters."""
     axis.last_edge = edge
     pins = (ECA if edge + 1 & 2 else 0) | (ECB if edge & 2 else 0)
     axis.inputs = axis.inputs & ~PINS | pins
@@ -99,7 +99,7 @@ def set_shaft(chip, axis_index, count, rate):
 
 @hot
 def _has_passed(axis, edge, clock):
-    """Return whether the shaft has passed an edge ahead of it at a clock."""
+    """Return whether the shaft has passed an encoder edge ahead of it at a clock."""
     return _find_edge(axis, clock) >= edge if axis.shaft_rate > 0.0 else _find_edge(axis, clock) < edge
 
 
@@ -132,7 +132,7 @@ def _find_clock_of_edge(chip, axis, edge):
 
 @hot
 def find_next_edge(chip, axis):
-    """Find the next clock at which the shaft passes an edge."""
+    """Find the next clock at which the shaft passes an edge of the encoder."""
     if axis.shaft_rate == 0.0:
         return NEVER
     return _find_clock_of_edge(chip, axis, axis.last_edge + 1 if axis.shaft_rate > 0.0 else axis.last_edge)
@@ -140,7 +140,7 @@ def find_next_edge(chip, axis):
 
 @hot
 def is_counting_up(axis):
-    """Return whether RP counts up at the present rate of the shaft. Not for the up / down mode."""
+    """Return whether RP, the real position counter, counts up at the present rate of the shaft. Not for the up / down mode."""
     return (axis.shaft_rate > 0.0) != (axis.encoder_reversed != 0)
 
 

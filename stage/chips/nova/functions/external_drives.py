@@ -42,7 +42,7 @@ def _read_exp_mode(chip, axis):
 
 @hot
 def reset_external_drives(axis):
-    """Note the present levels of EXP+ and EXP-, so that they do not count as changes."""
+    """Note the present levels of the inputs EXP+ and EXP-, so that they do not count as changes."""
     axis.last_exp_levels, axis.exp_driving = _read_exp_levels(axis), 0
 
 
@@ -69,7 +69,7 @@ def _start_drive(chip, axis, minus, fixed):
 
 @hot
 def apply_pin_changes(chip, axis):
-    """Start and stop external drives after changes of EXP+ and EXP- since the last call."""
+    """Start and stop external drives after changes of the inputs EXP+ and EXP- since the last call."""
     levels = _read_exp_levels(axis)
     if axis.exp_driving and not axis.driving:
         axis.exp_driving = 0

@@ -27,7 +27,7 @@ PW, OUTSL = MCX514_MAP.bit("P2M", "PW"), MCX304_MAP.mask("WR3", "OUTSL")
 
 @hot
 def find_pin_kind(axis, pin_index):
-    """Return the function of PIO `pin_index`: INPUT, OUTPUT, STATUS or OTHER."""
+    """Return the function of the general pin PIO `pin_index` of the MCX514's kind: INPUT, OUTPUT, STATUS or OTHER."""
     return axis.mode[P1M] >> 2 * pin_index & 3
 
 
@@ -105,7 +105,7 @@ def find_driven_outputs(chip, axis_index):
 
 @hot
 def _compute_status_outputs(chip, axis):
-    """Compute CMP+, CMP-, ASND and DSND as bits 0 to 3."""
+    """Compute the status outputs CMP+, CMP-, ASND and DSND of an axis as bits 0 to 3."""
     bits, counter = compute_ramp_phase_bits(chip, axis), counters.read_limited_counter(axis)
     word = (1 if counter >= axis.reg[COMP_PLUS] else 0) | (2 if counter < axis.reg[COMP_MINUS] else 0)
     return word | (4 if bits & 1 else 0) | (8 if bits & 4 else 0)
@@ -140,7 +140,7 @@ def find_next_pulse_end(chip, axis):
 
 @hot
 def reset_pulses(axis):
-    """End all pulses on PIO and DCC."""
+    """End all pulses on the PIO pins and on the output DCC of an axis."""
     axis.dcc_end = 0
     for m in range(SYNC_SETS):
         axis.pulse_until[m] = 0

@@ -76,7 +76,7 @@ LIMIT_304, SAND_304, PCLR, DCC_E = (
 
 @hot
 def reset_search(axis):
-    """Clear the state of the home search."""
+    """Clear the state of an axis' home search."""
     axis.home_state = axis.home_trigger = axis.pause_end = axis.home_handles_limits = axis.drives_at_hv = (
         axis.launch_direction
     ) = 0
@@ -102,7 +102,7 @@ def _is_mcx514(chip):
 
 @hot
 def _find_step_direction(chip, axis, search_step):
-    """Return the direction of step `search_step`, +1 or -1."""
+    """Return the direction of step `search_step` of the home search, +1 or -1."""
     if search_step == 4 and chip.variant == state.MCX514_TYPE:
         return 1 if axis.reg[state.TP] >= 0 else -1
     return -1 if axis.mode[state.H1M] & DIRECTION_BITS[_is_mcx514(chip)][search_step - 1] else 1
@@ -110,7 +110,7 @@ def _find_step_direction(chip, axis, search_step):
 
 @hot
 def _find_stop_input(chip, axis, search_step):
-    """Return the STOP input that step 1 or 2 searches; 0 if it searches the limit of its direction."""
+    """Return the STOP input that step 1 or 2 of the home search looks for; 0 if it looks for the limit of its direction."""
     mode = axis.mode[state.H1M]
     if chip.variant != state.MCX514_TYPE:
         return 0 if mode & LIMIT_304 else state.STOP0 if search_step == 1 else state.STOP1
@@ -122,7 +122,7 @@ def _find_stop_input(chip, axis, search_step):
 
 @hot
 def _is_signal_active(chip, axis, search_step):
-    """Return whether the signal of step 1 or 2 is active."""
+    """Return whether the signal that step 1 or 2 of the home search looks for (a STOP input or a limit) is active."""
     stop = _find_stop_input(chip, axis, search_step)
     return (
         axis.active_inputs & stop
@@ -133,7 +133,7 @@ def _is_signal_active(chip, axis, search_step):
 
 @hot
 def _is_limit_ahead(chip, axis, search_step):
-    """Return whether the limit in the direction of a step is asserted, unless the step searches this limit."""
+    """Return whether the limit in the direction of a home search's step is asserted, unless the step looks for this limit."""
     return (
         axis.limits_stop
         and _find_stop_input(chip, axis, search_step)
@@ -143,7 +143,7 @@ def _is_limit_ahead(chip, axis, search_step):
 
 @hot
 def _find_signal_status_bits(chip, axis, search_step):
-    """Return the finishing status that the signal of step 1 or 2 sets, bits of RR2."""
+    """Return the finishing status that the signal of step 1 or 2 of the home search sets, bits of RR2."""
     stop = _find_stop_input(chip, axis, search_step)
     if stop == 0:
         return _find_limit_status_bits(chip, axis, search_step)
@@ -152,7 +152,7 @@ def _find_signal_status_bits(chip, axis, search_step):
 
 @hot
 def _find_limit_status_bits(chip, axis, search_step):
-    """Return the finishing status that the limit in the direction of a step sets, bits of RR2."""
+    """Return the finishing status that the limit in the direction of a home search's step sets, bits of RR2."""
     return state.F_LMT_PLUS if _find_step_direction(chip, axis, search_step) > 0 else state.F_LMT_MINUS
 
 
@@ -182,7 +182,7 @@ def end_search(chip, axis):
 
 @hot
 def _finish_search(chip, axis):
-    """Clear the counters that the mode selects, and end the search."""
+    """Clear the position counters that the home search mode selects, and end the home search."""
     if chip.variant == state.MCX514_TYPE:
         mode = axis.mode[state.H2M]
         _clear_counters(axis, mode & RCLR, mode & LCLR)
@@ -208,7 +208,7 @@ def _clear_counters(axis, clear_rp, clear_lp):
 
 @hot
 def launch_search_step_drive(chip, axis):
-    """Begin the drive that a step of the search has requested.
+    """Begin the drive that a step of the home search has requested.
 
     The steps do not call `begin_drive` themselves, because they then compile much faster.
     """
@@ -218,7 +218,7 @@ def launch_search_step_drive(chip, axis):
 
 @hot
 def _request_drive(axis, search_step, direction, at_hv):
-    """Request an endless drive for a step of the search; `launch_search_step_drive` begins it.
+    """Request an endless drive for a step of the home search; `launch_search_step_drive` begins it.
 
     Args:
         axis: State of the axis.
@@ -233,7 +233,7 @@ def _request_drive(axis, search_step, direction, at_hv):
 
 @hot
 def _begin_search_step(chip, axis, search_step):
-    """Begin step `search_step` of the search, or the first later step that is enabled."""
+    """Begin step `search_step` of the home search, or the first later step that is enabled."""
     enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
     axis.home_trigger = axis.pause_end = axis.home_handles_limits = 0
     chip.stale = 1
@@ -271,7 +271,7 @@ def _begin_search_step(chip, axis, search_step):
 
 @hot
 def _watch_search_step_drive(chip, axis):
-    """Stop the drive of a step of the search if the signal that ends the step, or a limit, has come."""
+    """Stop the drive of a step of the home search if the signal that ends the step, or a limit, has come."""
     if axis.home_state == SEEK:
         if _is_limit_ahead(chip, axis, 1):
             axis.home_trigger = LIMIT
@@ -307,7 +307,7 @@ def _watch_search_step_drive(chip, axis):
 
 @hot
 def _requires_stop1(chip, axis):
-    """Return whether step 3 stops only while STOP1 is active as well."""
+    """Return whether step 3 of the home search stops only while the input STOP1 is active as well."""
     return axis.mode[state.H2M] & SAND if chip.variant == state.MCX514_TYPE else axis.mode[state.HM] & SAND_304
 
 
@@ -332,7 +332,7 @@ def _continue_after_search_step(chip, axis):
 
 @hot
 def _clear_at_signal(chip, axis, mode_bits):
-    """Clear counters and assert the output DCC after step 2 or 3, as the mode registers select.
+    """Clear position counters and assert the output DCC after step 2 or 3 of the home search, as the mode registers select.
 
     Args:
         chip: State of the chip.
@@ -351,7 +351,7 @@ def _clear_at_signal(chip, axis, mode_bits):
 
 @hot
 def _has_further_step(chip, axis, search_step):
-    """Return whether a step after step `search_step` is enabled."""
+    """Return whether the home search has an enabled step after step `search_step`."""
     enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
     return (
         (search_step < 2 and mode & enabled[1])
@@ -362,13 +362,13 @@ def _has_further_step(chip, axis, search_step):
 
 @hot
 def _find_step_after_pause(axis):
-    """Return the number of the step that follows the present pause."""
+    """Return the number of the home search's step that follows the present pause."""
     return 4 if axis.home_state == PAUSE_3 else 3 if axis.home_state == PAUSE_2 else 2
 
 
 @hot
 def _begin_pause(chip, axis, next_step, clocks):
-    """Begin the pause between two steps of the search: the pulse on DCC, then the timer if a step follows.
+    """Begin the pause between two steps of the home search: the pulse on DCC, then the timer if a step follows.
 
     Args:
         chip: State of the chip.
@@ -411,5 +411,5 @@ def update_search(chip, axis):
 
 @hot
 def find_next_event(chip, axis):
-    """Return the clock at which the pause between two steps ends, NEVER if there is none."""
+    """Return the clock at which the pause between two steps of the home search ends, NEVER if there is none."""
     return axis.pause_end if axis.pause_end else state.NEVER

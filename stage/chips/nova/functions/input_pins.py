@@ -16,7 +16,7 @@ UP_DOWN = 3  # PIMD
 
 @hot
 def set_active_high(axis, word):
-    """Set which inputs are active high.
+    """Set which inputs of an axis are active high.
 
     Args:
         axis: State of the axis.
@@ -62,7 +62,7 @@ def _count_encoder_pins(chip, axis, old_levels, new_levels):
 
 @hot
 def update_inputs(chip, axis):
-    """Update the filtered levels of the pins, and return the clock at which a filter passes the next change."""
+    """Update the filtered levels of an axis' input pins; return the clock at which a filter passes the next change."""
     at = NEVER
     if axis.inputs == axis.filtered_inputs:
         for k in range(INPUT_PINS):
@@ -101,7 +101,10 @@ def update_inputs(chip, axis):
 
 @hot
 def update_emergency_input(chip):
-    """Update the filtered level of the pin EMG, and return the clock of its next change. Its filter is that of axis X."""
+    """Update the filtered level of the emergency pin EMG, and return the clock of its next change.
+
+    Its filter is that of axis X.
+    """
     axis = chip.ax[0]
     if chip.emg_pin == chip.emergency:
         chip.emg_filter_end = 0

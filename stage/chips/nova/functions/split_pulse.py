@@ -18,7 +18,7 @@ ENDLESS = -1
 
 @hot
 def start_split_pulses(chip, axis):
-    """Start the split pulses (75h), or start them again."""
+    """Start the split pulses of an axis (command 75h), or start them again."""
     axis.split_running, axis.split_output = 1, 0
     axis.next_split_rise = axis.total + 1
     axis.split_pulses_left = axis.reg[SP2] if axis.reg[SP2] else ENDLESS
@@ -28,7 +28,7 @@ def start_split_pulses(chip, axis):
 
 @hot
 def stop_split_pulses(chip, axis):
-    """Stop the split pulses (76h), with the event SPLTE."""
+    """Stop the split pulses of an axis (command 76h), with the event SPLTE."""
     if axis.split_running:
         axis.split_running = axis.split_output = 0
         note_event(axis, SPLTE)
@@ -37,7 +37,7 @@ def stop_split_pulses(chip, axis):
 
 @hot
 def _begin_split_pulse(axis):
-    """Begin one split pulse. A new value of SP1 takes effect in the next cycle."""
+    """Begin one split pulse. A new value of SP1, the register of its period, takes effect in the next cycle."""
     cycle = greatest(axis.reg[SP1] & 0xFFFF, 2)
     width = least(greatest(axis.reg[SP1] >> 16 & 0xFFFF, 1), cycle - 1)
     axis.split_output = 1
@@ -60,7 +60,7 @@ def update_split_pulses(chip, axis):
 
 @hot
 def count_pulses_to_edge(axis):
-    """Return the number of drive pulses until the output changes."""
+    """Return the number of drive pulses until the split pulse output changes."""
     if not axis.split_running:
         return NEVER
     return (axis.next_split_fall if axis.split_output else axis.next_split_rise) - axis.total

@@ -81,7 +81,7 @@ def execute_synchronous_command(chip, axis, code):
 
 @hot
 def compute_status_bits(axis):
-    """Compute page 1 of RR3: enabled SYNC sets, TIMER, SPLIT."""
+    """Compute page 1 of the register RR3: enabled synchronous action sets, TIMER, SPLIT."""
     return axis.enabled_sets | (STATUS_BITS[0] if axis.timer_end else 0) | (STATUS_BITS[1] if axis.split_running else 0)
 
 
@@ -90,7 +90,7 @@ def compute_status_bits(axis):
 
 @hot
 def _has_factor_occurred(factor, set_index, events, rises, falls, levels):
-    """Return whether the activation factor of set `set_index` has occurred.
+    """Return whether the activation factor of synchronous action set `set_index` has occurred.
 
     Args:
         factor: The factor, bits 3 to 0 of SmM.
@@ -117,7 +117,7 @@ def _has_factor_occurred(factor, set_index, events, rises, falls, levels):
 
 @hot
 def _find_due_sets(axis):
-    """Find the sets whose activation factors have occurred since the last call."""
+    """Find the synchronous action sets whose activation factors have occurred since the last call."""
     levels = axis.filtered_inputs >> state.PIO & 0xFF
     as_inputs = ports.find_general_inputs(axis)
     rises, falls = levels & ~axis.last_port_levels & as_inputs, axis.last_port_levels & ~levels & as_inputs
@@ -134,7 +134,7 @@ def _find_due_sets(axis):
 
 @hot
 def _perform_action(chip, axis, set_index, action):
-    """Perform the action of set `set_index`."""
+    """Perform the action of synchronous action set `set_index`."""
     mr = state.MR0 + set_index
     value = axis.reg[mr]
     if action == TO_DV:
@@ -180,7 +180,7 @@ def _perform_action(chip, axis, set_index, action):
 
 @hot
 def _start_drive(chip, axis, set_index, action):
-    """Start the drive that is the action of set `set_index`."""
+    """Start the drive that is the action of synchronous action set `set_index`."""
     if action == DRIVE:
         single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.RELATIVE)
     elif action == COUNTER_DRIVE:
@@ -201,7 +201,7 @@ def _start_drive(chip, axis, set_index, action):
 
 @hot
 def _activate_set(chip, axis_index, set_index):
-    """Perform the action of set `set_index` of axis `axis_index`, and activate the other sets that this set selects."""
+    """Perform the action of synchronous action set `set_index`, and activate the other sets that this set selects."""
     axis = chip.ax[axis_index]
     mode = axis.mode[state.S0M + set_index]
     axis.finished_sets |= 1 << set_index
@@ -241,13 +241,13 @@ def run_due_synchronous_actions(chip, axis_index):
 
 @hot
 def count_pulses_to_event(chip, axis):
-    """Return the number of pulses of the drive until a comparison or the split pulse changes."""
+    """Return the number of pulses of the drive until a comparison with an MR register or the split pulse changes."""
     return least(compare.count_pulses_to_change(chip, axis), split_pulse.count_pulses_to_edge(axis))
 
 
 @hot
 def find_next_event(chip, axis):
-    """Return the clock of the next event of timer, comparisons or pulses; NEVER if there is none."""
+    """Return the clock of the next event of an axis' timer, comparisons or pin pulses; NEVER if there is none."""
     return least(
         least(timer.find_timer_end(axis), compare.find_next_speed_or_timer_change(chip, axis)),
         ports.find_next_pulse_end(chip, axis),

@@ -16,20 +16,20 @@ TMMD = MCX514_MAP.mask("WR3", "TMMD")
 
 @hot
 def _start_timer_at(axis, clock):
-    """Start the timer from 0 at a clock."""
+    """Start the timer of an axis from 0 at a clock."""
     axis.timer_start, axis.timer_end = clock, clock + CLOCKS_PER_COUNT * greatest(axis.reg[TM], 1)
 
 
 @hot
 def start_timer(chip, axis):
-    """Start the timer from 0 (73h), or start it again."""
+    """Start the timer of an axis from 0 (command 73h), or start it again."""
     _start_timer_at(axis, chip.clock)
     chip.stale = 1
 
 
 @hot
 def stop_timer(chip, axis):
-    """Stop the timer (74h)."""
+    """Stop the timer of an axis (command 74h)."""
     axis.timer_end = 0
     chip.stale = 1
 
@@ -53,12 +53,12 @@ def update_timer(chip, axis):
 
 @hot
 def find_clock_of_count(chip, axis, count):
-    """Return the clock at which CT will be `count`, NEVER if the timer expires before that."""
+    """Return the clock at which the timer register CT will be `count`, NEVER if the timer expires before that."""
     at = axis.timer_start + CLOCKS_PER_COUNT * count
     return at if chip.clock < at < axis.timer_end else NEVER
 
 
 @hot
 def find_timer_end(axis):
-    """Return the clock at which the timer expires, NEVER while it is stopped."""
+    """Return the clock at which the timer of an axis expires, NEVER while it is stopped."""
     return axis.timer_end if axis.timer_end else NEVER

@@ -23,7 +23,7 @@ def begin_pattern(interpolation, segment):
 
 @hot
 def step_pattern(interpolation, segment):
-    """Prepare the steps of the next tick, and return whether it is the last one.
+    """Prepare the pulses of the bit pattern's next tick, and return whether it is the last one.
 
     Sets `ends_interpolation` if both bits of an axis are set.
 

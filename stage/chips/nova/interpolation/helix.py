@@ -16,7 +16,7 @@ MAX_HLV = MCX514_MAP.register("HLV").range[1]
 
 @hot
 def begin_helix(interpolation, segment):
-    """Begin arc or helix `segment`, and return whether it has a tick.
+    """Begin arc or helix `segment` of the interpolation, and return whether it has a tick.
 
     Args:
         interpolation: State of the interpolation.
@@ -48,7 +48,7 @@ def _begin_arc_or_turn(arc, segment, is_turn):
 
 @hot
 def step_helix(interpolation, segment):
-    """Prepare the steps of the next tick, and return whether it is the last one.
+    """Prepare the pulses of the next tick of an arc or helix, and return whether it is the last one.
 
     Args:
         interpolation: State of the interpolation.
@@ -84,7 +84,7 @@ def step_helix(interpolation, segment):
 
 @hot
 def _count_ticks(arc, segment, is_turn):
-    """Count the ticks of a whole turn or of the arc, and those that move both axes."""
+    """Count the ticks of a whole turn of a helix or of its arc, and those that move both axes."""
     if not _begin_arc_or_turn(arc, segment, is_turn):
         return 0, 0
     return circular.count_arc_ticks(arc, arc.x * arc.x + arc.y * arc.y)
@@ -126,7 +126,7 @@ def compute_inner_ticks(arc, segment, hlv):
 
 @hot
 def calculate_hlv(arc, segment):
-    """Calculate HLV, limited to the range of its register.
+    """Calculate HLV, the MCX514's register with the ticks of a helix, limited to the range of the register.
 
     Args:
         arc: State of an arc, which the function overwrites.

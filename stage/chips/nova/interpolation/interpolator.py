@@ -26,7 +26,7 @@ CIINT, BPINT = MCX312_MAP.mask("WR5", "CIINT"), MCX312_MAP.mask("WR5", "BPINT")
 
 @hot
 def reset_interpolation(chip):
-    """Clear the state of the interpolation."""
+    """Clear the state of a NOVA chip's interpolation."""
     interpolation = chip.ip
     chip.interpolating = 0
     interpolation.deceleration_enabled = interpolation.interrupt = interpolation.waiting_segments = (
@@ -46,7 +46,7 @@ def reset_interpolation(chip):
 
 @hot
 def find_free_queue_slot(chip):
-    """Return the index in the queue of segments that takes the next segment."""
+    """Return the index at which the queue of interpolation segments takes the next segment."""
     return (
         (chip.ip.queue_head + 1 + chip.ip.waiting_segments) % (state.STAGES + 1)
         if chip.interpolating
@@ -169,7 +169,7 @@ def start_interpolation(chip):
 
 @hot
 def end_interpolation(chip):
-    """End the interpolation now, and drop the segments that wait."""
+    """End the interpolation now, and drop the segments that wait in its queue."""
     interpolation = chip.ip
     chip.interpolating = interpolation.waiting_segments = interpolation.stopping = interpolation.single_stepped = (
         interpolation.zone
@@ -211,7 +211,7 @@ def _begin_next_segment(chip):
 
 @hot
 def _assert_interrupts(chip):
-    """Assert the interrupts that are caused when a segment leaves the pre-buffer."""
+    """Assert the interrupts of the interpolation that are caused when a segment leaves the pre-buffer."""
     interpolation = chip.ip
     if chip.variant == state.MCX514_TYPE:
         word = chip.ax[0].mode[state.IPM]
@@ -370,7 +370,7 @@ def collect_axis_errors(chip):
 
 @hot
 def find_next_event(chip):
-    """Return the clock of the next event of the interpolation other than a tick, and set `ticks_until_check`."""
+    """Return the clock of the interpolation's next event other than a tick; store in `ticks_until_check` when to look again."""
     interpolation, axis = chip.ip, chip.ax[chip.ip.main_axis]
     interpolation.ticks_until_check = state.NEVER
     for j in range(chip.axes):
@@ -424,5 +424,5 @@ def compute_axis_rate(chip, axis_index):
 
 @hot
 def find_next_tick(chip):
-    """Return the clock of the next tick."""
+    """Return the clock of the next tick of the interpolation."""
     return chip.ip.next_tick_clock

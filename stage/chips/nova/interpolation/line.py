@@ -7,7 +7,7 @@ from stage.native import hot, least
 
 @hot
 def begin_line(interpolation, segment):
-    """Begin line `segment`, and return whether it has a tick.
+    """Begin line `segment` of the interpolation, and return whether it has a tick.
 
     Args:
         interpolation: State of the interpolation.
@@ -22,7 +22,7 @@ def begin_line(interpolation, segment):
 
 @hot
 def step_line(interpolation, segment):
-    """Prepare the steps of the next tick, and return whether it is the last one.
+    """Prepare the pulses of the line's next tick, and return whether it is the last one.
 
     Args:
         interpolation: State of the interpolation.

@@ -37,7 +37,7 @@ MAX_SETS = 3
 
 @hot
 def execute_command(chip, code):
-    """Execute an interpolation command, 30h to 3Dh."""
+    """Execute an interpolation command of the MCX312 or MCX314As, 30h to 3Dh."""
     ip = chip.ip
     if code in (LINE_2, CIRCLE_CW, CIRCLE_CCW, PATTERN_2):
         _load_segment(chip, code, 2)
@@ -101,7 +101,7 @@ def _find_axis_mask(chip, axis_word, axis_count):
 
 @hot
 def _load_segment(chip, code, axis_count):
-    """Execute a command of a segment, 30h to 35h: start it, queue it, or ignore it.
+    """Execute a segment command of the MCX312 or MCX314As, 30h to 35h: start the segment, queue it, or ignore it.
 
     Args:
         chip: State of the chip.
@@ -190,19 +190,19 @@ def _stack_pattern_set(chip):
 
 @hot
 def store_pattern_word(chip, word_index, value):
-    """Store a word of the bit pattern: BP1P, BP1M, BP2P, BP2M, BP3P or BP3M."""
+    """Store a word in one of the bit pattern registers BP1P, BP1M, BP2P, BP2M, BP3P or BP3M."""
     chip.ip.pattern_words[word_index] = value
 
 
 @hot
 def is_loading_pattern(chip):
-    """Return whether writes to WR2 and above go to the bit pattern."""
+    """Return whether writes to WR2 and above go to the bit pattern registers."""
     return chip.ip.loads_pattern
 
 
 @hot
 def compute_status_bits(chip):
-    """Compute I-DRV, CNEXT, ZONE and BPSC, bits of RR0."""
+    """Compute the status of the MCX312's interpolation: I-DRV, CNEXT, ZONE and BPSC, bits of RR0."""
     interpolation = chip.ip
     word = _count_pattern_sets(chip) << BPSC
     if chip.interpolating:

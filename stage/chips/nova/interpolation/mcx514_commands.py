@@ -29,7 +29,7 @@ VECTOR_AXES = (0, 2, 3, 2)
 
 @hot
 def execute_command(chip, code):
-    """Execute an interpolation command, 60h to 6Fh or 7Ch."""
+    """Execute an interpolation command of the MCX514, 60h to 6Fh or 7Ch."""
     ip = chip.ip
     if code in (DECEN, DECDIS):
         ip.deceleration_enabled = 1 if code == DECEN else 0
@@ -47,7 +47,7 @@ def execute_command(chip, code):
 
 @hot
 def _count_axes(mask):
-    """Count the axes in a mask."""
+    """Count the axes in a mask with a bit for each axis."""
     return (mask & 1) + (mask >> 1 & 1) + (mask >> 2 & 1) + (mask >> 3 & 1)
 
 
@@ -115,7 +115,7 @@ def _load_circle(chip, queued_segment, ipm, clockwise):
 
 @hot
 def _load_segment(chip, code):
-    """Execute a command of a segment, 60h to 6Ah: start it, queue it, or refuse it."""
+    """Execute a segment command of the MCX514, 60h to 6Ah: start the segment, queue it, or refuse it."""
     word = chip.ax[0].mode[IPM]
     mask = word & ENABLE_BITS
     count = _count_axes(mask)
@@ -172,7 +172,7 @@ def _load_segment(chip, code):
 
 @hot
 def _calculate_hlv(chip, code):
-    """Execute a helical calculation, 6Bh or 6Ch, which writes HLV at once."""
+    """Execute a helical calculation of the MCX514, 6Bh or 6Ch, which writes HLV at once."""
     word = chip.ax[0].mode[IPM]
     if chip.interpolating or _count_axes(word & ENABLE_BITS) < 2:
         return
@@ -201,7 +201,7 @@ def read_maximum_finish_point(chip):
 
 @hot
 def compute_status_bits(chip):
-    """Compute ZONE, CNEXT and SC, bits of RR0."""
+    """Compute the MCX514's status of the interpolation: ZONE, CNEXT and SC, bits of RR0."""
     interpolation = chip.ip
     if not chip.interpolating:
         return 0

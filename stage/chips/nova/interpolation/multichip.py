@@ -75,7 +75,7 @@ def await_linked_start(chip, axis_mask, main_axis, single_stepped, role, tx_has_
 
 @hot
 def _begin_line(chip):
-    """Begin the straight line now; all linked chips begin theirs at this clock."""
+    """Begin the straight line of a multichip interpolation now; all linked chips begin theirs at this clock."""
     ip, segment = chip.ip, chip.queue[chip.ip.queue_head]
     if not ip.uses_tx:
         segment.tick_count = greatest(segment.tick_count, linked_chips.read_wire_number(chip.wire_word))
@@ -147,7 +147,7 @@ def compute_wire_output(chip):
 
 @hot
 def find_wire_change(chip):
-    """Return the clock up to which the word of `compute_wire_output` does not change."""
+    """Return the clock up to which the word that the chip drives onto the wires to other chips does not change."""
     if not (chip.interpolating and chip.ip.role):
         return NEVER
     return chip.quiet_until if chip.quiet_until < chip.ip.next_tick_clock else chip.ip.next_tick_clock

@@ -33,7 +33,7 @@ INNER_TICKS = 8  # inner ticks of a tick where short-axis pulses are equalized
 
 @hot
 def begin_segment(chip):
-    """Begin the segment at the head of the queue, and return whether it has a tick."""
+    """Begin the interpolation segment at the head of the queue, and return whether it has a tick."""
     interpolation, segment = chip.ip, chip.queue[chip.ip.queue_head]
     interpolation.ends_interpolation = interpolation.zone = 0
     for k in range(AXES):
@@ -75,7 +75,7 @@ def _compute_segment_length(chip, queue_index):
 
 @exported(None, STATE)
 def prepare_tick(chip):
-    """Prepare the pulses and directions of the next tick, and its place on the profile."""
+    """Prepare the pulses and directions of the interpolation's next tick, and its place on the speed profile."""
     interpolation, segment = chip.ip, chip.queue[chip.ip.queue_head]
     if segment.kind == LINE:
         interpolation.is_last_tick = linear.step_line(interpolation, segment)
@@ -167,14 +167,14 @@ def replan_segment(chip, axis):
 
 @hot
 def schedule_tick(chip, axis):
-    """Find the clock of the prepared tick again, after a change of the plan."""
+    """Find the clock of the interpolation's prepared tick again, after a change of the speed plan."""
     chip.ip.tick_piece = 0
     find_tick_clock(chip, axis)
 
 
 @hot
 def find_tick_clock(chip, axis):
-    """Find the clock of the prepared tick."""
+    """Find the clock of the prepared tick of the interpolation."""
     interpolation = chip.ip
     interpolation.next_tick_clock = NEVER
     if not interpolation.single_stepped:
@@ -196,7 +196,7 @@ def is_chained_pattern(chip):
 
 @hot
 def find_segment_end(chip):
-    """Find the place in the profile at which the running segment ends, if it decelerates there."""
+    """Find the place in the speed profile at which the running segment ends, if it decelerates there."""
     interpolation = chip.ip
     if chip.queue[interpolation.queue_head].decelerates:
         distance = dd.load_pair(interpolation.segment_start)

@@ -19,7 +19,7 @@ ROUNDING_GUARD = 1e-6
 
 @hot
 def find_piece(axis, clocks):
-    """Return the number of the piece that is in force `clocks` clocks after the origin."""
+    """Return the number of the speed profile's piece that is in force `clocks` clocks after the profile's origin."""
     s = 0
     while s + 1 < axis.pieces and axis.from_clock[s + 1] <= clocks:
         s += 1
@@ -46,7 +46,7 @@ def compute_exact_place(axis, piece, clocks):
 
 @hot
 def count_begun_pulses_in_piece(axis, piece, clocks):
-    """Count the pulses of the drive that have begun, if the piece is known.
+    """Count the pulses of the drive that have begun, if the piece of the speed profile is known.
 
     Args:
         axis: State of the axis.
@@ -68,13 +68,13 @@ def count_begun_pulses_in_piece(axis, piece, clocks):
 
 @hot
 def count_begun_pulses(axis, clocks):
-    """Count the pulses of the drive that have begun `clocks` clocks after the origin."""
+    """Count the pulses of the drive that have begun `clocks` clocks after the origin of its speed profile."""
     return count_begun_pulses_in_piece(axis, find_piece(axis, clocks), clocks)
 
 
 @hot
 def compute_speed(axis, clocks):
-    """Compute the speed `clocks` clocks after the origin, in pulses per clock."""
+    """Compute the speed `clocks` clocks after the origin of the speed profile, in pulses per clock."""
     s = find_piece(axis, clocks)
     t = (float(clocks) - axis.t[s, 0]) - axis.t[s, 1]
     return greatest(axis.v[s, 0] + t * (2.0 * axis.a2[s, 0] + 3.0 * t * axis.j6[s, 0]), 0.0)
@@ -82,7 +82,7 @@ def compute_speed(axis, clocks):
 
 @hot
 def compute_acceleration(axis, clocks):
-    """Compute the acceleration `clocks` clocks after the origin, in pulses per clock squared, with its sign."""
+    """Compute the signed acceleration `clocks` clocks after the speed profile's origin, in pulses per clock squared."""
     s = find_piece(axis, clocks)
     t = (float(clocks) - axis.t[s, 0]) - axis.t[s, 1]
     return 2.0 * axis.a2[s, 0] + 6.0 * t * axis.j6[s, 0]
@@ -90,7 +90,7 @@ def compute_acceleration(axis, clocks):
 
 @hot
 def find_phase(axis, clocks):
-    """Return the phase `clocks` clocks after the origin: ACCELERATING, CONSTANT, DECELERATING ..."""
+    """Return the phase of the speed profile `clocks` clocks after its origin: ACCELERATING, CONSTANT, DECELERATING ..."""
     return axis.piece_phase[find_piece(axis, clocks)]
 
 
@@ -165,7 +165,7 @@ def _compute_clock_by_floats(axis, piece, distance):
 
 @hot
 def find_piece_of_pulse(axis, piece, pulse):
-    """Find the piece in which a pulse of the drive begins.
+    """Find the piece of the speed profile in which a pulse of the drive begins.
 
     Args:
         axis: State of the axis.
@@ -188,7 +188,7 @@ def find_clock_of_pulse(axis, pulse):
 
 @hot
 def find_clock_in_piece(axis, piece, pulse):
-    """Find the clock at which a pulse begins, if its piece is known.
+    """Find the clock at which a pulse of the drive begins, if its piece of the speed profile is known.
 
     Args:
         axis: State of the axis.
@@ -227,7 +227,7 @@ def _is_speed_at_least(axis, clocks, pps):
 
 @hot
 def find_speed_crossing(axis, clocks, pps):
-    """Find the first clock at which the speed rises to a value or falls below it.
+    """Find the first clock at which the drive's speed rises to a value or falls below it.
 
     Within a piece the speed only rises or only falls.
 

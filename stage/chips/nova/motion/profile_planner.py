@@ -28,7 +28,7 @@ SPEED_ROUNDING = 1e-25  # of a speed: what rounding leaves
 
 @hot
 def _draft_piece(axis, piece_index, duration, rate, jerk):
-    """Store a piece of a draft, unless its duration is not positive, and return the index of the next piece."""
+    """Store a piece of a drafted profile, unless its duration is not positive; return the index of the next piece."""
     dd.store_pair(axis.drafted_pieces[piece_index, DURATION], duration)
     dd.store_pair(axis.drafted_pieces[piece_index, START_ACCELERATION], rate)
     dd.store_pair(axis.drafted_pieces[piece_index, JERK], jerk)
@@ -37,7 +37,7 @@ def _draft_piece(axis, piece_index, duration, rate, jerk):
 
 @hot
 def _read_draft_piece(pieces, piece_index):
-    """Return the duration, the acceleration at the start and the jerk of piece `piece_index` of a draft."""
+    """Return the duration, the acceleration at the start and the jerk of piece `piece_index` of a drafted profile."""
     return (
         dd.load_pair(pieces[piece_index, DURATION]),
         dd.load_pair(pieces[piece_index, START_ACCELERATION]),
@@ -53,7 +53,7 @@ def _negate_if(acceleration, negative):
 
 @hot
 def draft_speed_change(axis, speed, acceleration, goal_speed):
-    """Draft the change to another speed.
+    """Draft the pieces of the change from one speed of a drive to another.
 
     Args:
         axis: State of the axis.
@@ -116,7 +116,7 @@ def draft_speed_change(axis, speed, acceleration, goal_speed):
 
 @hot
 def _integrate_piece(duration, speed, acceleration, jerk):
-    """Return the distance of a piece, and the speed at its end.
+    """Return the distance of a piece of the speed profile, and the speed at its end.
 
     The distance is duration (v + duration (a / 2 + duration jerk / 6)), the speed v + duration (a + duration jerk / 2).
 
@@ -192,7 +192,7 @@ def compute_braking_distance(axis, speed, acceleration):
 
 @hot
 def begin_plan(axis, clock, clocks_after_origin, place, speed, acceleration):
-    """Begin an empty plan.
+    """Begin an empty plan of the drive's speed profile.
 
     Args:
         axis: State of the axis.
@@ -211,7 +211,7 @@ def begin_plan(axis, clock, clocks_after_origin, place, speed, acceleration):
 
 @hot
 def _append_open_piece(axis, phase, acceleration, jerk):
-    """Append a piece without an end, from the cursor on.
+    """Append a piece without an end to the plan of the speed profile, from the plan's cursor on.
 
     Args:
         axis: State of the axis.
@@ -238,7 +238,7 @@ def _append_open_piece(axis, phase, acceleration, jerk):
 
 @hot
 def _append_piece(axis, phase, duration, acceleration, jerk):
-    """Append a piece, and move the cursor to its end.
+    """Append a piece to the plan of the speed profile, and move the plan's cursor to its end.
 
     Args:
         axis: State of the axis.
@@ -265,7 +265,7 @@ def _find_piece_phase(acceleration, jerk):
 
 @hot
 def append_speed_change(axis, goal_speed):
-    """Append the change from the cursor's speed to another speed."""
+    """Append the change from the speed at the plan's cursor to another speed."""
     for k in range(
         draft_speed_change(
             axis,
@@ -282,7 +282,7 @@ def append_speed_change(axis, goal_speed):
 
 @hot
 def append_braking(axis):
-    """Append the automatic deceleration, and then the initial speed without an end.
+    """Append the automatic deceleration to the plan, and then the initial speed without an end.
 
     On chips with the S-curve failure the end of the deceleration is a piece of its own, area d of NOVA's notice.
     """
@@ -315,7 +315,7 @@ def _append_constant_speed(axis):
 
 @hot
 def plan_stop(axis):
-    """Plan a decelerating stop: to the initial speed, at which the drive ends."""
+    """Plan a decelerating stop of the drive: to the initial speed, at which the drive ends."""
     if (
         dd.is_less(dd.load_pair(axis.sv), dd.load_pair(axis.cursor[CURSOR_SPEED]))
         or axis.cursor[CURSOR_ACCELERATION, 0] > 0.0
@@ -476,7 +476,7 @@ def plan_braking_at(axis, pulses):
 
 @hot
 def begin_plan_at(axis, clocks):
-    """Begin a new plan `clocks` clocks after the origin, with the place, speed and acceleration of the drive at that time."""
+    """Begin a new plan `clocks` clocks after the origin, with the drive's place, speed and acceleration at that time."""
     s = find_piece(axis, clocks)
     t = dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[s]))
     place = dd.add(dd.to_double_double(axis.from_pulse[s]), compute_exact_place(axis, s, clocks))

@@ -35,7 +35,7 @@ def compute_pulse_width(rate):
 
 @hot
 def find_pulse_end(axis):
-    """Return the clock at which the last pulse goes off or has gone off."""
+    """Return the clock at which the last pulse of the axis goes off or has gone off."""
     if not axis.driving or axis.pulses_done <= axis.from_pulse[0]:
         return axis.pulse_off_clock
     n = find_clock_of_pulse(axis, axis.pulses_done)
@@ -44,13 +44,13 @@ def find_pulse_end(axis):
 
 @hot
 def store_pulse_end(axis):
-    """Store the clock at which the present pulse goes off, before the plan that contains it is replaced."""
+    """Store the clock at which the axis' present pulse goes off, before the plan that contains it is replaced."""
     axis.pulse_off_clock = find_pulse_end(axis)
 
 
 @hot
 def _read_output_mode(chip, axis):
-    """Return the pulse output mode, INDEPENDENT to QUADRATURE_X2."""
+    """Return the pulse output mode of the axis, INDEPENDENT to QUADRATURE_X2."""
     return axis.wr[3] >> DPMD & 3 if chip.variant == MCX514_TYPE else axis.wr[2] >> PLSMD & 1
 
 

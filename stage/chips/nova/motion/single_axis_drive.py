@@ -272,7 +272,7 @@ def change_pulse_count(chip, axis, value):
 
 @hot
 def end_drive(chip, axis, cause):
-    """End the drive now.
+    """End the drive of the axis now.
 
     On the chips before the MCX514 the end of a drive at constant speed is also the event C-END, as the failure notice says.
 
@@ -335,7 +335,7 @@ def begin_decelerating_stop(chip, axis, cause):
 
 @hot
 def stop_at_once(chip, axis, cause):
-    """Stop at once (57h, 27h, ALARM, EMG, or a limit).
+    """Stop a drive at once (commands 57h, 27h, the inputs ALARM and EMG, or a limit).
 
     Args:
         chip: State of the chip.
@@ -377,7 +377,7 @@ def apply_inputs(chip, axis):
 
 @hot
 def _apply_limits(chip, axis):
-    """Apply the hardware and software limits, and return whether one has stopped the drive at once."""
+    """Apply the hardware and software limits to a drive, and return whether one has stopped it at once."""
     if axis.limits_stop and not axis.home_handles_limits and is_limit_asserted(axis, axis.direction):
         cause = (
             (state.E_HLMT_PLUS | state.F_LMT_PLUS) if axis.direction > 0 else (state.E_HLMT_MINUS | state.F_LMT_MINUS)
@@ -401,7 +401,7 @@ def _apply_limits(chip, axis):
 
 @hot
 def begin_pulses_until(chip, axis, clock):
-    """Begin the pulses up to a clock.
+    """Begin the pulses of a drive up to a clock.
 
     Args:
         chip: State of the chip.

@@ -222,7 +222,7 @@ def _make_main_status_word(axes: int, interpolates: bool) -> Word:
 
 
 def _make_input_word_of_two(name: str, low: str, high: str) -> Word:
-    """Return a word with the inputs of two axes."""
+    """Return the RR word that shows the inputs of two axes."""
     fields = [make_bit("EMG", 3, "level of EMG", "M", values=LEVELS)] if low == "X" else []
     for a, shift in ((low, 0), (high, 8)):
         fields += [
@@ -236,7 +236,7 @@ def _make_input_word_of_two(name: str, low: str, high: str) -> Word:
 
 
 def _make_input_word_of_one(name: str, axis_name: str) -> Word:
-    """Return a word with the inputs of one axis."""
+    """Return the RR word that shows the inputs of one axis."""
     signals = {"STOP0": 0, "STOP1": 1, "STOP2": 2, "EXP+": 4, "EXP-": 5, "INPOS": 6, "ALARM": 7, "LMT+": 14, "LMT-": 15}
     fields = [
         make_bit(f"{axis_name}-{n}", k, f"level of {n} of {axis_name}", "?", values=LEVELS) for n, k in signals.items()

@@ -89,7 +89,7 @@ _PAGES = {"DV": "S", "TX": "D"}
 
 
 def _make_read_commands(registers: tuple[Register, ...]) -> tuple[ChipCommand, ...]:
-    """Return the commands that read data, 30h to 49h."""
+    """Return the commands 30h to 49h, by which a host reads registers of an axis."""
     present = {r.name for r in PRESENT}
     back = [r for r in registers if r.name in READ_CODES]
     found = [
@@ -101,7 +101,7 @@ def _make_read_commands(registers: tuple[Register, ...]) -> tuple[ChipCommand, .
 
 
 def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> ChipCommand:
-    """Return a command that drives axes."""
+    """Return a command of the MCX514's kind that drives axes."""
     return ChipCommand(code, symbol, title, "drive", evidence="C", starts=starts, note=note)
 
 
@@ -116,7 +116,7 @@ def _make_segment_command(code: int, symbol: str, title: str, *axes: int, points
 
 
 def _make_command(code: int, symbol: str, title: str, axes: bool = True) -> ChipCommand:
-    """Return a command without data."""
+    """Return a command of the MCX514's kind that has no data."""
     return ChipCommand(code, symbol, title, "other", evidence="C", axes=axes)
 
 

@@ -41,7 +41,7 @@ def _make_pio_field(pin_index: int) -> Field:
 
 
 def _make_sync_mode(set_index: int, axes: int = 4) -> Register:
-    """Return the mode register of a synchronous action set."""
+    """Return the mode register of synchronous action set `set_index` of the MCX514's kind."""
     actions_of_set = {
         4: f"MR{set_index} -> {('LP', 'RP', 'SV', 'AC')[set_index]}",
         8: ("CV -> MR0", "CA -> MR1", "none", "none")[set_index],
@@ -198,7 +198,7 @@ def _make_event_bits() -> tuple[Field, ...]:
 
 
 def _make_port_word(name: str, title: str, low: str, high: str) -> Word:
-    """Return a word with the PIO levels of two axes."""
+    """Return the word that shows or sets the PIO levels of two axes."""
     fields = (
         make_bits(f"{high}-PIO", 15, 8, f"PIO7 to PIO0 of {high}"),
         make_bits(f"{low}-PIO", 7, 0, f"PIO7 to PIO0 of {low}"),
