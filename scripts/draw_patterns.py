@@ -275,7 +275,8 @@ def axis():
 SPEED_DATA = """
 ## Setting speed data
 
-*Section 5 a.* `P = {call}`: the reset command, then R1 to R5 and R7. All patterns on this page begin with it.
+*Section 5 a.* `P = {call}`: the reset command, then R1 to R5 and R7. All patterns on this page begin with it. `accel` is the
+time from FL to the highest rate, here FH2, so that the ramp to FH1 takes about half of it.
 The ramp from FL to FH1 takes Tsu = (R2 - R1) R4 / CLOCK = {accel:.1f} ms, and so does the ramp down.
 
 {table}
