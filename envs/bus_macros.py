@@ -136,7 +136,7 @@ class Config(MachineSettings):
 
     @property
     def max_target_pulses(self) -> int:
-        """Largest distance of a target, pulses."""
+        """Largest distance of a target from the start position, pulses."""
         return int(2 * sum(self.grid))
 
 
@@ -232,7 +232,7 @@ class BusMacros(BusHost):
             axes["target"][c.axes.index(name)] = pulses
 
     def _compute_start_positions(self, stage_index: int, level: int, pulses_from_origin: np.ndarray) -> np.ndarray:
-        """Compute the positions of the carriages at power-up, m, (m,).
+        """Compute the positions of the carriages at power-up, m, shape (axes,).
 
         Args:
             stage_index: Index of the stage, whose context has the angle of the rotors.
@@ -248,7 +248,7 @@ class BusMacros(BusHost):
         return (np.floor(at / self.turn) + float(self.context[stage_index]["switch"])) * self.turn
 
     def _place_carriages(self, stage_index: int, positions: np.ndarray) -> None:
-        """Place the carriages of one stage at positions, m, (m,), after its machine was drawn."""
+        """Place the carriages of one stage at positions, m, shape (axes,), after its machine was drawn."""
         stage = self.stages[stage_index]
         self.apply_machine(stage_index)
         stage.place(**{name: float(q) for name, q in zip(self.config.axes, positions, strict=True)})
@@ -361,7 +361,7 @@ def _get_motor(axis: Any) -> Any:
 
 
 class BusMacrosEnv(StageEnv):
-    """Gymnasium environment stage/BusMacros-v1."""
+    """Gymnasium environment stage/BusMacros-v1: move axes to targets by macros, short programs of bus cycles."""
 
     task = BusMacros
 
@@ -376,7 +376,7 @@ class BusMacrosEnv(StageEnv):
 
 
 class BusMacrosVectorEnv(StageVectorEnv):
-    """Vector environment stage/BusMacros-v1."""
+    """Vector environment stage/BusMacros-v1: move axes to targets by macros, short programs of bus cycles."""
 
     task = BusMacros
 

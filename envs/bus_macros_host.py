@@ -81,11 +81,11 @@ class BusHost(MachineTask[Any]):
 
     @property
     def uses_axis(self) -> np.ndarray:
-        """Mask of the axes that take part, (n, m) bool."""
+        """Mask of the axes that take part in each stage's episode, (stages, axes) bool."""
         return (np.arange(len(self.axes)) == 0) | (self.episodes["level"] >= 2)[:, None]
 
     def action_masks(self) -> np.ndarray:
-        """Return which actions have an effect now, (n, actions) int8."""
+        """Return which macros have an effect now, (stages, actions) int8."""
         s, c, e = self.selected_axis_state, self.config, self.episodes
         idle = s["running"] == 0
         able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)

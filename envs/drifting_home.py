@@ -118,7 +118,7 @@ def make_action(
     back_off: int = 200,
     report: bool = False,
 ) -> np.ndarray:
-    """Return the action that stands for these values. A value beyond its range counts as the end of the range.
+    """Return the action that stands for these values of an origin return. A value beyond its range counts as the end of the range.
 
     Args:
         search: Rate of the search, pps.
@@ -266,7 +266,7 @@ class DriftingHome(MachineTask[Config]):
 
     @property
     def is_report(self) -> np.ndarray:
-        """Mask of the stages whose action reports a fault, (n,)."""
+        """Mask of the stages whose action reports a fault of the machine, shape (stages,)."""
         return self.actions[:, 5] > 0
 
     def make_programs(self) -> list[Program]:
@@ -344,7 +344,7 @@ class DriftingHome(MachineTask[Config]):
         )
 
     def _score_episodes(self, reports: np.ndarray, broken: np.ndarray) -> None:
-        """Write the scores of the episodes, of which those that end now are used.
+        """Write the scores of the episodes of all stages; only those of episodes that end now are used.
 
         Args:
             reports: Mask of the stages whose action reports a fault, (n,).
@@ -370,7 +370,7 @@ class DriftingHome(MachineTask[Config]):
     # --- a host ---
 
     def scripted_action(self) -> np.ndarray:
-        """Return actions at brisk rates.
+        """Return the actions of a scripted host, which makes its origin returns at brisk rates.
 
         The host leaves ORG by as far as it has moved beyond the last origin, searches at BRISK rates, at half of them after a
         failed return, and reports a fault after a return that ran to the end limit, or after two that failed in a row.
@@ -383,7 +383,7 @@ class DriftingHome(MachineTask[Config]):
 
     @staticmethod
     def _choose_scripted_action(on_org: bool, beyond: float, failures: float, end_limit: float) -> np.ndarray:
-        """Choose the scripted action of one stage.
+        """Choose the action of the scripted host on one stage.
 
         Args:
             on_org: Whether ORG is asserted.
@@ -400,12 +400,12 @@ class DriftingHome(MachineTask[Config]):
 
 
 class DriftingHomeEnv(StageEnv):
-    """Gymnasium environment stage/DriftingHome-v1."""
+    """Gymnasium environment stage/DriftingHome-v1: repeat origin returns on a machine that drifts and may have a fault."""
 
     task = DriftingHome
 
 
 class DriftingHomeVectorEnv(StageVectorEnv):
-    """Vector environment stage/DriftingHome-v1."""
+    """Vector environment stage/DriftingHome-v1: repeat origin returns on machines that drift and may have a fault."""
 
     task = DriftingHome

@@ -113,7 +113,7 @@ class Config(MachineSettings):
 
 
 def make_action(start: float, drive: float, up: float, down: float) -> np.ndarray:
-    """Return the action that stands for these values. A value beyond RATES counts as the end of its range.
+    """Return the action that stands for these rates and ramps of a move. A value beyond RATES counts as the end of its range.
 
     Args:
         start: Start rate, pps.
@@ -330,7 +330,7 @@ class FewShotTuning(MachineTask[Config]):
         return start, top, max(up * shorter, MIN_RAMP_S), max(down * shorter, MIN_RAMP_S)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Compute the registers of actions by the formulas of the chip, (n, registers)."""
+        """Compute the registers of the moves that actions stand for, by the formulas of the chip; shape (stages, registers)."""
         rows = []
         for action, distance in zip(actions, self.distance.tolist(), strict=True):
             values = self.driver.compute_move_registers(*self.decode_action(action, distance), distance, s_curve=False)
@@ -348,14 +348,14 @@ class FewShotTuning(MachineTask[Config]):
         return np.where(is_answer, self.cost, np.inf)
 
     def _compute_value(self, cost: np.ndarray) -> np.ndarray:
-        """Compute the value of a move: log(two usual times / cost); 0 for a higher cost."""
+        """Compute the value of a move from its cost: log(two usual times / cost); 0 for a cost above two usual times."""
         return np.maximum(portable_math.log(2 * self.usual_times_s) - portable_math.log(cost), 0.0)
 
     def make_programs(self) -> list[Program]:
         return self._make_programs_from_registers(self.to_registers(self.actions))
 
     def _make_programs_from_registers(self, rows: np.ndarray) -> list[Program]:
-        """Make the program of a move for the registers of each stage, (n, registers)."""
+        """Make the program of a move for each stage's row of registers, (stages, registers)."""
         limits = (2 * self.usual_times_s).tolist()
         columns = zip(rows.tolist(), self.distance.tolist(), limits, strict=True)
         return [self.trial.make_program(dict(zip(self.names, row, strict=True)), d, limit) for row, d, limit in columns]
@@ -399,7 +399,7 @@ class FewShotTuning(MachineTask[Config]):
         write_scores(self.results["score"], proved, self.formula[:, 4], self.steps, *self.damage.T)
 
     def _find_best_proved_cost(self, stage_mask: np.ndarray) -> np.ndarray:
-        """Prove attempts, the best first, until one passes.
+        """Prove the attempts of each stage, the best first, until one passes.
 
         Args:
             stage_mask: Mask of the stages whose attempts are proved, (n,).
@@ -421,7 +421,7 @@ class FewShotTuning(MachineTask[Config]):
         return proved
 
     def _prove_moves(self, stage_mask: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Repeat a move `proofs` times on each stage, `margin` kg heavier and from other angles of the rotor.
+        """Repeat a move `proofs` times on each stage, with `margin` kg more payload and from other angles of the rotor.
 
         Args:
             stage_mask: Mask of the stages that move, (n,).
@@ -464,12 +464,12 @@ class FewShotTuning(MachineTask[Config]):
 
 
 class FewShotTuningEnv(StageEnv):
-    """Gymnasium environment stage/FewShotTuning-v1."""
+    """Gymnasium environment stage/FewShotTuning-v1: tune one move in several attempts on a machine that is not known."""
 
     task = FewShotTuning
 
 
 class FewShotTuningVectorEnv(StageVectorEnv):
-    """Vector environment stage/FewShotTuning-v1."""
+    """Vector environment stage/FewShotTuning-v1: tune one move in several attempts on machines that are not known."""
 
     task = FewShotTuning

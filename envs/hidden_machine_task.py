@@ -104,7 +104,7 @@ class MachineTask(MoveTask[ConfigT]):
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes that take part."""
+        """Names of the axes that take part in the task."""
         c: Any = self.config
         return (c.axis,)
 
@@ -186,12 +186,12 @@ class MachineTask(MoveTask[ConfigT]):
         self.configure_stage(self.stages[stage_index], stage_index)
 
     def describe_machine(self, stage_index: int) -> dict[str, Any]:
-        """Return the machine of a stage for the info of a reset, by name."""
+        """Return the hidden machine of a stage for the info of a reset, as values by name."""
         return {f.name: f.kind(self.context[stage_index][f.name]) for f in machine_contexts.INFO}
 
     @property
     def machine_info(self) -> dict[str, np.ndarray]:
-        """Machines of all stages for the info of a step, by name."""
+        """Hidden machines of all stages for the info of a step, as arrays by name."""
         return {f.name: self.context[f.name] for f in machine_contexts.INFO}
 
     @property

@@ -109,7 +109,7 @@ def get_split_setting(config: Any, name: str) -> Any:
 
 
 def get_context_ranges(config: Any) -> dict[str, tuple[float, float]]:
-    """Return the smallest and largest value of each number of a context, by name."""
+    """Return the smallest and largest value of each number of a context (hidden machine), by name."""
     unit_range = (0.0, 1.0)
     return {name: get_split_setting(config, kind) if kind else unit_range for name, (kind, _) in KINDS.items()}
 
@@ -117,7 +117,7 @@ def get_context_ranges(config: Any) -> dict[str, tuple[float, float]]:
 def draw_context(
     rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]], context: Any, options: Mapping[str, Any]
 ) -> None:
-    """Draw the numbers of a context, evenly over their ranges; those in LOGARITHMIC evenly by their logarithm.
+    """Draw the numbers of a context (hidden machine), evenly over their ranges; those in LOGARITHMIC evenly by their logarithm.
 
     Args:
         rng: Random generator. Each number is drawn even if an option replaces it, so that an option changes no other number.
@@ -138,7 +138,7 @@ def draw_context(
 
 
 def scale_contexts(ranges: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
-    """Scale contexts for an observation.
+    """Scale the numbers of contexts (hidden machines) for an observation.
 
     Args:
         ranges: Smallest and largest value of each number, by name.
@@ -193,7 +193,7 @@ class NominalMachine:
         return cls(axis, carrier, friction, damping, float(a.faults.bus_voltage), current, loss, inductance)
 
     def apply(self, stage: Stage, context: Any, extra_payload_kg: float = 0.0) -> None:
-        """Apply a context to a stage. Call this again after each restore, which resets the drive.
+        """Apply a context (hidden machine) to a stage. Call this again after each restore, which resets the drive.
 
         Args:
             stage: Stage to change.

@@ -46,7 +46,7 @@ _PUSH = {"jam": DEFAULT_JAM_FACTOR, "binding": BINDING}
 
 
 def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
-    """Draw the fault of a context: none with the probability `healthy`, otherwise one of `names` on one of the axes.
+    """Draw the fault of a hidden machine: none with the probability `healthy`, else one of `names` on one of the axes.
 
     Args:
         rng: Random generator.
@@ -61,7 +61,7 @@ def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: 
 
 
 def compute_overload_kg(fault: int) -> float:
-    """Return the mass that a fault adds to the payload, kg.
+    """Return the mass, kg, that a fault of the machine adds to the payload.
 
     Args:
         fault: Index of the fault in NAMES.

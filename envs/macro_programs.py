@@ -91,7 +91,7 @@ class MacroTable:
         self._append_programs(Program().read(a, chip.BUSY[0]))
 
     def _append_programs(self, *programs: Program) -> None:
-        """Append the programs of one macro on one axis."""
+        """Append the programs of one macro on one axis to the table."""
         self._first.append(len(self._programs))
         self._programs += programs
 
@@ -105,7 +105,7 @@ class MacroTable:
     def select_programs(
         self, macros: np.ndarray, axis: np.ndarray, axis_states: np.ndarray, which: np.ndarray
     ) -> np.ndarray:
-        """Return the bus cycles of a macro on each stage.
+        """Return the bus cycles of the macro that each stage plays.
 
         Args:
             macros: Index of the macro on each stage, (n,).
@@ -123,7 +123,7 @@ class MacroTable:
         return self._table[pages, : max(1, int(self._lengths[pages].max()))]
 
     def ends_at_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
-        """Return the mask of the origin returns of an axis that ended at the origin.
+        """Return which of the origin returns of an axis have ended at the origin, as a mask.
 
         Args:
             axis: Index of the axis.

@@ -94,7 +94,7 @@ class MoveOutcomes(NamedTuple):
 
     @property
     def in_step(self) -> np.ndarray:
-        """Mask of the moves that made all their pulses and lost no step."""
+        """Mask of the moves that made all their commanded pulses and lost no step."""
         return self.finished & ~self.lost
 
 
@@ -141,7 +141,7 @@ class MoveTrial(StartPositions):
     def make_program(
         self, values: Mapping[str, int], distance: int, timeout_s: float, end_on_lost_step: bool = False
     ) -> Program:
-        """Make the bus cycles of a move. All programs of a trial have the same length.
+        """Make the program of bus cycles for one move. All programs of a trial have the same length.
 
         Args:
             values: Register values by name.
@@ -172,7 +172,7 @@ class MoveTrial(StartPositions):
     def read_outcomes(
         self, played: PlayedPrograms, truth: np.ndarray, distance: np.ndarray, count: float = 1.0
     ) -> MoveOutcomes:
-        """Read the outcomes of programs that were played.
+        """Read the outcomes of moves from programs that were played.
 
         Args:
             played: Results of the programs of `make_program`.

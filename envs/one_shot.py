@@ -90,12 +90,12 @@ class OneShotTuning(FewShotTuning):
 
 
 class OneShotTuningEnv(StageEnv):
-    """Gymnasium environment stage/OneShotTuning-v1."""
+    """Gymnasium environment stage/OneShotTuning-v1: choose the rates and ramps of a move in one attempt."""
 
     task = OneShotTuning
 
 
 class OneShotTuningVectorEnv(StageVectorEnv):
-    """Vector environment stage/OneShotTuning-v1."""
+    """Vector environment stage/OneShotTuning-v1: choose the rates and ramps of a move in one attempt."""
 
     task = OneShotTuning

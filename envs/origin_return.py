@@ -239,7 +239,7 @@ class OriginReturn(MoveTask[Config]):
         )
 
     def _shift_switch(self, stage_index: int) -> None:
-        """Shift ORG of a stage by the distance that was drawn for its next return."""
+        """Shift the ORG switch of a stage by the distance that was drawn for its next return."""
         if self.config.drift:
             self.switch.shift(self.stages[stage_index], self.shift[stage_index])
 
@@ -247,7 +247,7 @@ class OriginReturn(MoveTask[Config]):
         return {"payload": float(self.payload[stage_index]), "friction": float(self.friction[stage_index])}
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Convert actions to integers, (n, numbers), in the order of `register_box.names`."""
+        """Convert actions from -1 to 1 to integers, (stages, numbers), in the order of `register_box.names`."""
         return self.register_box.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
     def make_programs(self) -> list[Program]:
@@ -309,7 +309,7 @@ class OriginReturn(MoveTask[Config]):
 
 
 def _compute_spread(ends: np.ndarray) -> np.ndarray:
-    """Return the range of the end positions so far, pulses, (n,); 0 before the first.
+    """Return the range of the positions at which the origin returns have ended so far, pulses, (stages,); 0 before the first.
 
     Args:
         ends: Smallest and largest end position, pulses, (n, 2).
@@ -324,16 +324,16 @@ class OriginReturnEnv(StageEnv):
 
     @property
     def register_box(self) -> RegisterBox:
-        """Converter between actions and the integers by name."""
+        """Converter between actions and the integers that they stand for, by name."""
         return self._task.register_box  # type: ignore[attr-defined]
 
 
 class OriginReturnVectorEnv(StageVectorEnv):
-    """Vector environment stage/OriginReturn-v0."""
+    """Vector environment stage/OriginReturn-v0: find the origin from an unknown position, one return a step."""
 
     task = OriginReturn
 
     @property
     def register_box(self) -> RegisterBox:
-        """Converter between actions and the integers by name."""
+        """Converter between actions and the integers that they stand for, by name."""
         return self._task.register_box  # type: ignore[attr-defined]

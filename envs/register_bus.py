@@ -211,7 +211,7 @@ class RegisterBus(Task[Config]):
         self._played_by_python = np.zeros(n, bool)
 
     def _fill_rule_records(self) -> None:
-        """Fill the records with the settings that compiled code reads."""
+        """Fill the records from which compiled code reads the settings of the environment."""
         c = self.config
         self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
         rules = {name: getattr(c, name) for name in core.SETTINGS} | {"truth": c.truth is True}
@@ -380,12 +380,12 @@ class RegisterBus(Task[Config]):
 
 
 class RegisterBusEnv(StageEnv):
-    """Gymnasium environment stage/RegisterBus-v0."""
+    """Gymnasium environment stage/RegisterBus-v0: the agent is the host, and an action is one bus cycle or a wait."""
 
     task = RegisterBus
 
 
 class RegisterBusVectorEnv(StageVectorEnv):
-    """Vector environment stage/RegisterBus-v0."""
+    """Vector environment stage/RegisterBus-v0: the agent is the host, and an action is one bus cycle or a wait."""
 
     task = RegisterBus

@@ -141,7 +141,7 @@ def _compute_potential(axes, rules, truth):
 
 @hot
 def _has_arrived(settings, axes, rules, truth):
-    """Return whether every axis stands still within the tolerance, its motor pulls it there, and it has lost no step."""
+    """Return whether each axis stands still within the tolerance, its motor pulls it there, and it has lost no step."""
     for a in range(len(axes)):
         t, rule, goal = truth[a], rules[a], axes[a].goal
         rest = t.commanded - t.lost_steps * rule.full_step
@@ -172,7 +172,7 @@ def _set_discounted_parts(settings, over, now, potential, episode, parts):
 
 @hot
 def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words, truth, result):
-    """Fill the result of the step that was just played, and update the record of the episode."""
+    """Fill the result of the step that one stage has just played, and update the record of its episode."""
     now = truth[0].now
     success = _has_arrived(settings, axes, rules, truth)
     error, lost, more = 0.0, 0, 0
@@ -218,7 +218,7 @@ def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words
 
 @hot
 def _read_all_words(handle, first, words, now):
-    """Store the present values at all addresses of the chips, with the time `now`, ns; `first`: first axis of each chip."""
+    """Store the present values at all addresses of a stage's chips with the time `now`, ns; `first`: first axis of each chip."""
     for i in range(len(words)):
         chip = compiled_stage_access.get_chip_table(handle)[compiled_stage_access.get_axis_table(handle)[first[i]].chip]
         for j in range(words.shape[1]):
@@ -227,7 +227,7 @@ def _read_all_words(handle, first, words, now):
 
 @hot
 def _write_words(settings, words, now, observation, at):
-    """Write status bits, values and ages of a chip's words into an observation from index `at`; return the next index."""
+    """Write the status bits, values and ages of a chip's words into an observation from index `at`; return the next index."""
     for j in range(settings.bits):
         observation[at + j] = words[settings.status].seen >> j & 1
     at += settings.bits

@@ -47,7 +47,7 @@ class RegisterBox:
 
     @classmethod
     def of_registers(cls, map_: RegisterMap, names: Sequence[str]) -> RegisterBox:
-        """Make the box of some registers of a chip.
+        """Make the box of actions for some registers of a chip.
 
         Args:
             map_: Register map of the chip.
@@ -69,7 +69,7 @@ class RegisterBox:
         return gymnasium.spaces.MultiDiscrete(self.high - self.low + 1, start=self.low)
 
     def from_action(self, action: np.ndarray) -> np.ndarray:
-        """Convert actions, (..., n), to int64 register values, (..., n)."""
+        """Convert actions from -1 to 1, (..., n), to int64 register values, (..., n)."""
         u = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
         scaled = np.where(
             self._logarithmic,
@@ -104,5 +104,5 @@ class RegisterBox:
         return (2.0 * u - 1.0).astype(np.float32)
 
     def to_dict(self, registers: np.ndarray) -> dict[str, int]:
-        """Return one row of register values by name."""
+        """Return one row of register values as a dict by register name."""
         return {n: int(v) for n, v in zip(self.names, registers, strict=True)}

@@ -143,12 +143,12 @@ class RegisterTuning(TuningTask[Config]):
 
 
 class RegisterTuningEnv(StageEnv):
-    """Gymnasium environment stage/RegisterTuning-v0."""
+    """Gymnasium environment stage/RegisterTuning-v0: choose a chip's registers for one move after the other."""
 
     task = RegisterTuning
 
 
 class RegisterTuningVectorEnv(StageVectorEnv):
-    """Vector environment stage/RegisterTuning-v0."""
+    """Vector environment stage/RegisterTuning-v0: choose a chip's registers for one move after the other."""
 
     task = RegisterTuning

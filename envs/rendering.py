@@ -89,7 +89,7 @@ class PoseSampler:
         self._begin, self._stride = len(self._recording), max(1, round(every / self._recording.every))
 
     def finish(self) -> np.ndarray:
-        """Return the sampled joint positions when the step is over, (frames, nq); the last row is the end of the step."""
+        """Return the joint positions sampled during a step, (frames, nq), when it is over; the last row is the end of the step."""
         rows = [piece["qpos"] for piece in self._recording.pieces(begin=self._begin)]
         if self._own_recording is not None:
             self._own_recording.close()

@@ -183,12 +183,12 @@ class ServoTuning(TuningTask[Config]):
 
 
 class ServoTuningEnv(StageEnv):
-    """Gymnasium environment stage/ServoTuning-v0."""
+    """Gymnasium environment stage/ServoTuning-v0: choose the digital filter of a servo axis for one move after the other."""
 
     task = ServoTuning
 
 
 class ServoTuningVectorEnv(StageVectorEnv):
-    """Vector environment stage/ServoTuning-v0."""
+    """Vector environment stage/ServoTuning-v0: choose the digital filter of a servo axis for one move after the other."""
 
     task = ServoTuning

@@ -54,12 +54,12 @@ class NumberSetting:
 
     @property
     def allowed(self) -> str:
-        """Description of the allowed numbers in words."""
+        """Description, in words, of the numbers that the setting allows."""
         start = f"more than {self.low:g}" if self.exclude_low else f"{self.low:g} or more"
         return f"a {'whole ' if self.integer else ''}number, {start}, up to {self.high:g}"
 
     def accepts(self, value: Any) -> bool:
-        """Return whether a value is an allowed number. True and False are not numbers."""
+        """Return whether the setting allows a value as its number. True and False are not numbers."""
         if not isinstance(value, Real) or isinstance(value, bool):
             return False
         number = float(value)

@@ -337,12 +337,12 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
 
 class SynchronizedLineEnv(StageEnv):
-    """Gymnasium environment stage/SynchronizedLine-v1."""
+    """Gymnasium environment stage/SynchronizedLine-v1: one straight line of two or three axes on an unknown machine."""
 
     task = SynchronizedLine
 
 
 class SynchronizedLineVectorEnv(StageVectorEnv):
-    """Vector environment stage/SynchronizedLine-v1."""
+    """Vector environment stage/SynchronizedLine-v1: one straight line of two or three axes on unknown machines."""
 
     task = SynchronizedLine

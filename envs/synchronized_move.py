@@ -382,12 +382,12 @@ class SynchronizedMove(MoveTask[Config]):
 
 
 class SynchronizedMoveEnv(StageEnv):
-    """Gymnasium environment stage/SynchronizedMove-v0."""
+    """Gymnasium environment stage/SynchronizedMove-v0: choose registers with which axes move along a straight line."""
 
     task = SynchronizedMove
 
 
 class SynchronizedMoveVectorEnv(StageVectorEnv):
-    """Vector environment stage/SynchronizedMove-v0."""
+    """Vector environment stage/SynchronizedMove-v0: choose registers with which axes move along a straight line."""
 
     task = SynchronizedMove

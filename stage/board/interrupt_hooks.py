@@ -67,10 +67,10 @@ class PythonInterruptHooks:
         """Set the hook of an interrupt source to a function in Python, or remove it.
 
         Args:
-            source: Index of the source.
+            source: Index of the interrupt source.
             function: The hook, or None.
-            interrupt_mask: Interrupt lines (bits) that assert the source.
-            level: Level of the source, 1 to 15.
+            interrupt_mask: Bits of the interrupt lines that request this source.
+            level: Interrupt priority of the source, 1 to 15.
             period: Period of a timer, ns; 0 for other sources.
 
         Raises:

@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _rename_files_of_work_around(args: argparse.Namespace) -> argparse.Namespace:
-    """Return the options for the second run, with NOVA's work-around: its files get other names, and no viewer opens."""
+    """Return the options for the second run, which uses the work-around of NOVA's notice; its files get other names."""
     named = {}
     for what in ("record", "vcd", "picture"):
         path = getattr(args, what)

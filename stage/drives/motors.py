@@ -349,7 +349,7 @@ class Drive:
 
     @property
     def title(self) -> str:
-        """Motor and settings in words."""
+        """Motor and settings of the drive in words."""
         power_stage = "" if self.power_stage.name == IDEAL.name else f", {self.power_stage.name}"
         return f"{self.motor.name}, 1/{self.microsteps} steps{power_stage}"
 

@@ -64,7 +64,7 @@ def compute_load_angle(drive, count, theta):
 
 @hot
 def to_rotor_angle(drive, angle):
-    """Convert electrical to rotor radians."""
+    """Convert an angle of the stepper motor from electrical to rotor radians."""
     return angle / drive.teeth
 
 

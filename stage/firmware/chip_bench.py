@@ -52,7 +52,7 @@ class BenchAxis:
 
     @property
     def time(self) -> float:
-        """Seconds since the bench was made."""
+        """Simulated seconds since the bench was made."""
         return self._bench.time
 
     @property
@@ -62,7 +62,7 @@ class BenchAxis:
 
     @explain_arguments
     def wait(self, seconds: float) -> None:
-        """Let `seconds` pass, for all chips of the bench."""
+        """Let `seconds` of simulated time pass, for all chips of the bench."""
         self._bench.wait(seconds)
 
     @property
@@ -93,12 +93,15 @@ class BenchAxis:
         return np.frombuffer(bytearray(self.chip.state.tobytes()), self.chip.CORE.STATE)
 
     def _run(self, clock: int) -> None:
-        """Run the chip up to `clock`, in parts between which Ctrl-C takes effect."""
+        """Run the chip of this axis up to `clock`, in parts between which Ctrl-C takes effect."""
         for stop in split_run(self.chip.clock, clock):
             self._run_part(stop)
 
     def _run_part(self, clock: int) -> None:
-        """Run the chip up to `clock`; update the inputs at each pulse that moves the carriage into a span or out of it."""
+        """Run the chip of a bench axis up to `clock`.
+
+        Update the inputs at each pulse that moves the carriage into or out of a span.
+        """
         chip = self.chip
         core, c = chip.CORE, chip.pointer
         while self._spans and chip.clock < clock:
@@ -164,12 +167,12 @@ class Bench(Bus):
 
     @property
     def time(self) -> float:
-        """Seconds since the bench was made."""
+        """Simulated seconds since the bench was made."""
         return self._now * 1e-9
 
     @property
     def bus_cycle(self) -> float:
-        """Seconds that one bus cycle takes."""
+        """Simulated seconds that one bus cycle of the bench takes."""
         return self._bus_ns * 1e-9
 
     def cycle(self) -> None:
@@ -178,7 +181,7 @@ class Bench(Bus):
 
     @explain_arguments
     def wait(self, seconds: float) -> None:
-        """Let `seconds` pass. Raises ArgumentError for a negative time."""
+        """Let `seconds` of simulated time pass on the bench. Raises ArgumentError for a negative time."""
         check_seconds(seconds)
         until, procedures = self._now + round(seconds * 1e9), self.procedures
         if procedures.running is not None:
@@ -226,7 +229,7 @@ class Bench(Bus):
         self.axes[axis]._place_on_rail(at, spans)
 
     def _advance(self, until: int) -> None:
-        """Advance to a time of the bench, ns, and call the actions that are due."""
+        """Advance the bench to a time, ns, and call the actions that are due."""
         for name, axis in self.axes.items():
             check_clock_limit(self._compute_clock_at(name, axis.chip, until))
         while self._events and self._events[0][0] <= until:
@@ -236,7 +239,7 @@ class Bench(Bus):
         self._run(max(until, self._now))  # an action may have spent bus cycles
 
     def _run(self, until: int) -> None:
-        """Run all chips to a time of the bench, ns."""
+        """Run all chips of the bench to a time, ns."""
         self._now = until
         for name, axis in self.axes.items():
             axis._run(self._compute_clock_at(name, axis.chip, until))
@@ -247,6 +250,6 @@ class Bench(Bus):
 
 
 def _is_within(place: Any, span: PositionSpan) -> Any:
-    """Return whether a position, or each of an array, is within a span."""
+    """Return whether a position, or each position of an array, is within a span."""
     low, high = span
     return (place >= (-np.inf if low is None else low)) & (place <= (np.inf if high is None else high))

@@ -181,7 +181,7 @@ class Driver(ABC):
         """
 
     def start(self, pulses: int, speeds: Speeds) -> None:
-        """Begin a move, and do not wait.
+        """Begin a move by signed pulses, and do not wait for its end.
 
         Args:
             pulses: Signed number of pulses; counts of a servo.
@@ -345,7 +345,7 @@ class Driver(ABC):
         return False
 
     def is_running(self) -> bool:
-        """Return whether the move that `start_continuous_move` has started still runs."""
+        """Return whether the continuous move that `start_continuous_move` has started still runs."""
         return self.chip.busy(self.axis.chip_axis)
 
     @property
@@ -454,7 +454,7 @@ class Driver(ABC):
         return UNKNOWN
 
     def read_status_words(self) -> dict[str, int]:
-        """Read the status of the axis by bus cycles that clear nothing: words and registers of the chip's map by name."""
+        """Read the status of the axis by bus cycles that clear nothing: words and registers by the names of the chip's map."""
         return {
             word.name: self.chip.read(word.address)
             for word in self.chip.MAP.words
@@ -507,7 +507,7 @@ class Driver(ABC):
 
     @abstractmethod
     def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
-        """Return the names of the registers that determine a move.
+        """Return the names of the registers of this chip that determine a move.
 
         Args:
             s_curve: Whether the ramps are S-curves; None: S-curves if they are the chip's usual ramps.
@@ -691,7 +691,7 @@ class ImmediateOperations(Operations):
         return self
 
     def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 1e-3) -> ImmediateOperations:
-        """Wait until axes have stopped.
+        """Poll the chips until axes have stopped.
 
         Args:
             axes: Indices of the axes in the constructor's arguments.
@@ -739,7 +739,7 @@ def wait_until_stopped(
 
 
 def compute_poll_interval(poll: float, passed: float) -> float:
-    """Return the seconds until the next poll.
+    """Return the seconds until a waiting host polls the status next.
 
     The interval grows from `poll` to MAX_POLL_S, so that the host notices an end no later than that; a longer `poll` stays. After
     100 s the interval is 1/50,000 of the elapsed time, because days of pulses would take millions of polls.

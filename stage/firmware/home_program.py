@@ -80,7 +80,7 @@ class HomeProgram(ABC):
 
     @abstractmethod
     def decode_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
-        """Decode the results of programs.
+        """Decode the results of programs of origin returns.
 
         Args:
             results: Results of the programs, shape (stages, operations).
@@ -91,6 +91,6 @@ class HomeProgram(ABC):
         """
 
     def _store_result_index(self, name: str, program: Program) -> Program:
-        """Store the index of the next operation under `name` in `result_indices`, and return the program."""
+        """Store the index of the program's next operation under `name` in `result_indices`, and return the program."""
         self.result_indices[name] = len(program)
         return program

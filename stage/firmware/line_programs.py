@@ -29,7 +29,7 @@ MAX_RAMP_SHARE = 0.8  # of a short move may be ramps
 
 
 def compute_peak_rate(fl: Any, rate: Any, room: Any, up: Any, down: Any) -> Any:
-    """Compute the highest rate that a move reaches if its ramps may take `room` pulses.
+    """Compute the highest rate, pps, that a move reaches if its ramps may take `room` pulses.
 
     All arguments are numbers or arrays of one shape.
 
@@ -80,13 +80,13 @@ class LineMoves(NamedTuple):
 
 
 class LineSettings(NamedTuple):
-    """Settings of lines.
+    """Settings of straight lines of several axes.
 
     Attributes:
         fl: Start rate of the longest axis, pps.
         accel: Time of its ramps, s.
         s_curve: Whether the ramps are S-curves.
-        reach: Pulses along the line by which a correction of 1 moves an axis.
+        reach: Largest correction: pulses along the line by which a correction of 1, through changed registers, shifts an axis.
         axes: Names of the axes, for error messages.
     """
 
@@ -125,7 +125,7 @@ class LinePrograms(ABC):
 
     @abstractmethod
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
-        """Compute the registers by the formulas of the data sheet.
+        """Compute the registers of lines by the formulas of the data sheet.
 
         Args:
             moves: Moves along the line.
@@ -136,7 +136,7 @@ class LinePrograms(ABC):
 
     @abstractmethod
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Compute the registers by the data sheet's formulas, and correct them.
+        """Compute the registers of lines by the data sheet's formulas, and correct them.
 
         Args:
             moves: Moves along the line.
@@ -148,7 +148,7 @@ class LinePrograms(ABC):
 
     @abstractmethod
     def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
-        """Compute how far each axis leaves the straight line with the registers of the data sheet.
+        """Compute how far each axis leaves the straight line with the registers that the data sheet's formulas give.
 
         Args:
             moves: Moves along the line.
@@ -159,7 +159,7 @@ class LinePrograms(ABC):
 
     @abstractmethod
     def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """Write the bus cycles from rest to the last start command.
+        """Write the bus cycles of the lines, from rest to the last start command.
 
         Args:
             registers: Registers, shape (stages, *shape).
@@ -180,7 +180,7 @@ class LinePrograms(ABC):
     # --- the same for all ---
 
     def clip_to_legal_range(self, registers: np.ndarray) -> np.ndarray:
-        """Clip registers to the ranges of the data sheet."""
+        """Clip the registers of lines to the ranges of the data sheet."""
         return np.clip(np.rint(registers), self.low, self.high).astype(np.int64)
 
     def compute_peak_rates_and_ramps(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
@@ -237,7 +237,7 @@ class LinePrograms(ABC):
         )
 
     def trace_pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
-        """Run the program of one stage on copies of the chips, and record their pulses.
+        """Run the program of one stage's line on copies of the chips, and record their pulses.
 
         Args:
             ops: Operations of the program, shape (operations, 4).
@@ -266,7 +266,7 @@ class LinePrograms(ABC):
         return list(chips.values())
 
     def _mark_column_operation(self, program: Program, index_from_end: int, column: int, shift: int = 0) -> None:
-        """Mark an operation of the template as one that writes a column.
+        """Mark an operation of the template program as one that writes a column of the register array.
 
         Args:
             program: Template.
@@ -277,7 +277,7 @@ class LinePrograms(ABC):
         self._slots.append((len(program) - index_from_end, column, shift))
 
     def _fill_template(self, template: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return copies of the template in which the marked operations write their columns.
+        """Return a copy of the template program for each line, in which the marked operations write their columns.
 
         Args:
             template: Operations, shape (operations, 4).
@@ -290,7 +290,7 @@ class LinePrograms(ABC):
 
 
 def create_line_programs(drivers: Sequence[Driver], settings: Any) -> LinePrograms:
-    """Create the programs of the lines that drivers can make together.
+    """Create the line programs of the axes whose drivers can make straight lines together.
 
     Args:
         drivers: Drivers of the axes.

@@ -42,7 +42,7 @@ class OperationPattern:
         self.report, self.waveforms = report, report.waveforms
 
     def list_lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
-        """List the relevant signals.
+        """List the signals of the report that have a meaning in its move, for the plot.
 
         Args:
             pins: Pins that may be shown; None: all.
@@ -55,7 +55,7 @@ class OperationPattern:
         return [(self.waveforms.pin(pin), label, colour) for pin, label, colour in visible]
 
     def is_relevant(self, pin: str) -> bool:
-        """Return whether a pin has a meaning in this move."""
+        """Return whether a pin of the chip has a meaning in this move."""
         on = self.waveforms.pin(pin)
         return pin in self.ALWAYS or bool(on.any() if pin in self.waveforms.chip.INPUTS else on.any() and not on.all())
 

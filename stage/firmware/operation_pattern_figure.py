@@ -159,7 +159,7 @@ def _draw_rate_panel(
 
 
 def _label_level(ax: Any, level: float, text: str) -> None:
-    """Draw a horizontal line at a rate, with its name."""
+    """Draw a horizontal line at a pulse rate, labeled with the rate's name."""
     ax.annotate(
         text, (1, level), xycoords=("axes fraction", "data"), xytext=(5, 0), textcoords="offset points", va="center",
         fontsize=SIZE, color=MUTED_COLOR, annotation_clip=False,
@@ -201,9 +201,10 @@ def _measure_text_width(text: str, bold: bool = False) -> float:
 
 
 def _assign_annotation_rows(notes: list[PatternAnnotation], limits: tuple[float, float], width: float) -> list[int]:
-    """Return a row for each note, so that no text overlaps another text or the arrow of a later note.
+    """Return a row for each annotation, so that no text overlaps another text or the arrow of a later annotation.
 
-    From the last note to the first, each is placed above all notes that begin within its length."""
+    From the last note to the first, each is placed above all notes that begin within its length.
+    """
     at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
     rows = [0] * len(notes)
     for k in reversed(range(len(notes))):
@@ -213,7 +214,7 @@ def _assign_annotation_rows(notes: list[PatternAnnotation], limits: tuple[float,
 
 
 def _draw_annotation(ax: Any, note: PatternAnnotation, rate: float, height: float) -> None:
-    """Draw a note, its arrow or dot, and the line from it to the curve."""
+    """Draw an annotation of the plot, its arrow or dot, and the line from it to the curve."""
     colour = EVENT_COLOR if note.event else TEXT_COLOR
     style = "-" if note.event else "-|>,head_width=0.16,head_length=0.32"
     arrow = {

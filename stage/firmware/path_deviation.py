@@ -22,7 +22,7 @@ ROUNDING_TOLERANCE = 1e-12  # relative, and pulses squared: rounding
 
 
 class PathDeviation(NamedTuple):
-    """Largest distance of a path from the line.
+    """Largest distance of a path of axes from the straight line, in pulses.
 
     Attributes:
         pulses: The distance, pulses.
@@ -37,7 +37,7 @@ class PathDeviation(NamedTuple):
 
 @hot
 def _find_next_pulse_time(times, ends, cursor):
-    """Return the time of the next pulse of any axis; infinity if there is none."""
+    """Return the time of the next pulse of any axis of the path; infinity if there is none."""
     t = np.inf
     for k in range(len(cursor)):
         if cursor[k] < ends[k] and times[cursor[k]] < t:
@@ -184,7 +184,7 @@ def replay_pulses(journal: Journal) -> np.ndarray:
 
 
 def _list_encoder_counts(journal: Journal) -> np.ndarray:
-    """Return a record for each count that a servo's command moved, like the pulses of other chips."""
+    """Return a record for each count by which a servo's command position moved, like the pulses of other chips."""
     edges = journal.replay_waveforms().edges
     steps = np.diff(edges["net"])
     at = np.repeat(np.arange(1, len(edges)), np.abs(steps))

@@ -258,7 +258,7 @@ def begin_jog(
     """
 
     def wait_for_end(driver: Driver) -> None:
-        """Wait until something stops the axis."""
+        """Wait until something, such as a limit switch, stops the axis of this driver."""
         while driver.is_running():
             axis.wait(MAX_POLL_S)
 

@@ -38,7 +38,7 @@ TURNING_REASONS = ("EL+", "EL-")
 
 @dataclass(frozen=True)
 class Profile:
-    """Speeds of a motion in dial units.
+    """Speed profile of a motion of an IOC's axis, in dial units.
 
     Attributes:
         speed: Drive speed, user units a second.
@@ -53,7 +53,7 @@ class Profile:
 
 @dataclass(frozen=True)
 class Reading:
-    """Reading of an axis, in dial units.
+    """Reading of an IOC's axis, in dial units: what it does at one moment.
 
     Attributes:
         state: State of the axis.
@@ -193,7 +193,7 @@ class ControlledAxis:
         self.set_pulses(self.to_pulses(place * self._factor + self._encoder_offset))
 
     def begin_jog(self, direction: int, profile: Profile) -> AxisAction:
-        """Begin a motion without an end."""
+        """Begin a motion of the axis without an end."""
         speeds, unit = self.convert(profile), self.axis.meters_per_pulse
         return firmware.begin_jog(
             self.axis, direction * speeds.drive * unit, start_speed=speeds.start * unit, accel=profile.accel

@@ -74,7 +74,7 @@ class TargetValue(PvpropertyDouble):
     """VAL, whose control limits only inform clients: the soft limits are checked by its putter, as the real record does."""
 
     async def verify_value(self, value: Any) -> Any:
-        """Pass a value on to the putter."""
+        """Pass a value that a client puts on to the putter, unchanged."""
         return value if self.putter is None else await self.putter(self, value)
 
 
@@ -143,17 +143,17 @@ class MotorRecord(PVGroup):
     # --- fields ---
 
     def get(self, field: str) -> Any:
-        """Return the value of a field."""
+        """Return the value of a field of the record."""
         return self._fields[field].value
 
     async def set(self, field: str, value: Any) -> None:
-        """Publish the value of a field if it has changed."""
+        """Publish the value of a field of the record if it has changed."""
         if self._written.get(field) != value:
             self._written[field] = value
             await self._fields[field].write(value, verify_value=False)
 
     async def force(self, field: str, value: Any) -> None:
-        """Publish the value of a field."""
+        """Publish the value of a field of the record, even if it has not changed."""
         self._written[field] = value
         await self._fields[field].write(value, verify_value=False)
 
@@ -168,7 +168,7 @@ class MotorRecord(PVGroup):
         return round((user - self.get("OFF")) / self._sign, ROUNDING_DIGITS)
 
     def _get_dial_reading(self) -> float:
-        """Return DRBV: of the encoder if UEIP is Yes, else of the pulses."""
+        """Return DRBV, the dial position: of the encoder if UEIP is Yes, else of the pulses."""
         r = self._reading
         step = self._axis.step
         return round(round(r.encoder / step) * step if self._uses_encoder() else r.dial, ROUNDING_DIGITS)
@@ -177,7 +177,7 @@ class MotorRecord(PVGroup):
         return self.get("UEIP") in ("Yes", 1)
 
     def _get_mode(self) -> int:
-        """Return SPMG as a number."""
+        """Return SPMG, the record's mode (Stop, Pause, Move, Go), as a number."""
         value = self.get("SPMG")
         return SPMG_WORDS.index(value) if value in SPMG_WORDS else int(value)
 
@@ -261,7 +261,7 @@ class MotorRecord(PVGroup):
                 await alarm.write(status=status, severity=severity)
 
     async def _say(self, text: str) -> None:
-        """Publish a message for people."""
+        """Publish a message of the record for people."""
         if self._written.get("message") != text:
             self._written["message"] = text
             await write_message(self.message, text)
@@ -342,7 +342,7 @@ class MotorRecord(PVGroup):
         return reading
 
     async def _halt(self) -> None:
-        """Bring the axis to rest."""
+        """Bring the axis of the motor record to rest."""
         await self.publish(await asyncio.wrap_future(self._controller.stop(self._name)))
 
     async def _halt_if_moving(self) -> None:
@@ -351,7 +351,7 @@ class MotorRecord(PVGroup):
             await self._halt()
 
     def _get_profile(self, speed: str, accel: str = "ACCL") -> Profile:
-        """Return the profile of two fields."""
+        """Return the speed profile that two fields of the record describe."""
         return Profile(self.get(speed), self.get("VBAS"), self.get(accel))
 
     async def _move(self, number: int) -> bool:
@@ -449,7 +449,7 @@ class MotorRecord(PVGroup):
             await _wait_for_monitors()
 
     def _may_move(self) -> bool:
-        """Return whether SPMG allows motion."""
+        """Return whether SPMG, the record's mode, allows motion."""
         return self._get_mode() in (MOVE, GO)
 
     async def _put_raw_target(self, instance: Any, value: int) -> float:
@@ -460,7 +460,7 @@ class MotorRecord(PVGroup):
         return 0.0
 
     def _make_tweak(self, sign: int) -> Callable[..., Awaitable[Any]]:
-        """Return the function for puts to TWF or TWR."""
+        """Return the function for puts to TWF or TWR, which move the axis by a step forward or back."""
 
         async def put(instance: Any, value: int) -> int:
             if value:
@@ -594,7 +594,7 @@ class MotorRecord(PVGroup):
         await self.publish(self._reading)
 
     def _make_limit(self, coordinate: str, side: int) -> Callable[..., Awaitable[Any]]:
-        """Return the function for puts to HLM, LLM, DHLM or DLLM."""
+        """Return the function for puts to HLM, LLM, DHLM or DLLM, the soft limits of the record."""
 
         async def put(instance: Any, value: float) -> float:
             if not math.isfinite(value):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PlannedMove:
-    """Move in dial units.
+    """Move of a motor record in dial units, with its backlash takeout.
 
     Attributes:
         target: Position to reach.

@@ -262,7 +262,7 @@ class LampRow:
             lamp.props["title"] = _describe_bits(field)
 
     def forget_value(self) -> None:
-        """Forget the value, before the row shows another axis."""
+        """Forget the value that the lamps show, before the row shows another axis."""
         self._chip_value = -1
 
     def show_chip_values(self, values: Mapping[str, int]) -> None:

@@ -184,7 +184,10 @@ class Sampler:
     # --- in the stage's thread ---
 
     def take_rows(self, filled: int) -> None:
-        """Store the first `filled` rows of the engine's buffers. The engine's loop calls this when the buffers are full."""
+        """Store the first `filled` rows of samples of the engine's buffers.
+
+        The engine's loop calls this when the buffers are full.
+        """
         if filled:
             self.filled = 0
             for sampler in (self, *self._followers):

@@ -227,7 +227,7 @@ class Recording(Tabular):
             )
 
     def take_rows(self, filled: int) -> None:
-        """Take over the rows that the engine has written to the buffers. Full buffers go to the temporary file.
+        """Take over the rows of samples that the engine has written to the buffers. Full buffers go to the temporary file.
 
         Args:
             filled: Number of rows that are filled now.
@@ -304,7 +304,7 @@ class Recording(Tabular):
         return self
 
     def flush(self) -> None:
-        """Write the samples that are not yet in the file of `stream`."""
+        """Write the samples that are not yet in the file that `stream` writes."""
         self._separate_fork()
         if self._log is not None:
             self._flushed = len(self)

@@ -89,7 +89,7 @@ class Scene:
                 self._track.append((time, qpos))
 
     def log_lamps(self, out: Any, name: str, edges: np.ndarray, is_first_call: bool) -> None:
-        """Log the lamps of an axis.
+        """Log the lamps of an axis, which show its switches in the 3D scene.
 
         Args:
             out: The RecordingStream.

@@ -28,7 +28,7 @@ def hash_identifier(text, begin, end):
 
 @hot
 def _skip_spaces(text, position):
-    """Return the position of the first byte from `position` on that is no space."""
+    """Return the position of the first byte of a VCD text from `position` on that is no space."""
     while position < len(text) and text[position] <= SPACE:
         position += 1
     return position
@@ -71,7 +71,7 @@ def _parse_time(text, begin, end):
 
 @hot
 def _to_level(character):
-    """Return the level that a character stands for; -1 for an unknown level (x, z), at which a line keeps its level."""
+    """Return the level, 0 or 1, that a character of a VCD file stands for; -1 for x and z, at which a line keeps its level."""
     return 0 if character in LOW else 1 if character in HIGH else -1
 
 

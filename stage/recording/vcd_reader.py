@@ -40,7 +40,7 @@ class CaptureError(FileError):
 
 
 class Signal(NamedTuple):
-    """A signal of a capture.
+    """A signal that the VCD file of a capture declares.
 
     Attributes:
         name: Name, with its bit where the file gives one.
@@ -61,7 +61,7 @@ class Signal(NamedTuple):
 
 
 class SignalBit(NamedTuple):
-    """A bit of a signal.
+    """One bit of a signal of a capture.
 
     Attributes:
         code: Identifier of the signal in the file.
@@ -88,7 +88,7 @@ class Changes(NamedTuple):
 
 @dataclass(frozen=True)
 class Capture:
-    """Declarations of a VCD file.
+    """Capture of a logic analyzer: the declarations of its VCD file.
 
     Attributes:
         path: The file.

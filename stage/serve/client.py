@@ -58,7 +58,7 @@ _R = TypeVar("_R")  # what one that reads returns
 
 
 class ServerError(RuntimeError):
-    """Error that the server has sent.
+    """Error that the server of a board has sent.
 
     Attributes:
         answers: Answers to the requests of the batch that were executed before the error.
@@ -274,7 +274,7 @@ class _Requests(Generic[_W, _R]):
 
 
 class Batch(_Requests["Batch", "Batch"]):
-    """Requests that are sent together. The methods return the batch itself, so that calls can be chained."""
+    """Batch of requests that are sent together. The methods return the batch itself, so that calls can be chained."""
 
     def __init__(self, client: Client | None = None):
         self._client, self._entries = client, bytearray()
@@ -355,7 +355,7 @@ def _combine_bits(bits: Iterable[int]) -> int:
 
 
 def _unpack_answers(content: bytes) -> tuple[int, ...]:
-    """Unpack the answers to a batch from the body of its reply."""
+    """Unpack the answers to a batch of requests from the body of its reply."""
     return struct.unpack(f"<{len(content) // ANSWER.size}q", content)
 
 
@@ -428,7 +428,7 @@ class Client(_Requests[None, int]):
             raise ValueError(f"n={n!r} level={level!r} period_us={period_us!r}: no such timer.") from None
 
     def log(self, text: str) -> None:
-        """Add a line to the server's log."""
+        """Add a line to the log of the server."""
         self.request(LOG, text.encode())
 
     # --- the machine; no time passes ---

@@ -38,7 +38,7 @@ class BatchError(StageError):
 
 
 class _BatchBuffers:
-    """Memory for the entries and answers of a batch.
+    """Memory for the entries and answers of a batch of requests.
 
     Args:
         n: Largest number of entries.
@@ -51,7 +51,7 @@ class _BatchBuffers:
 
 
 class FrameExecutor:
-    """A board and its named snapshots.
+    """Executor of the frames that a host sends to a board, with the board's named snapshots.
 
     Args:
         board: The board.
@@ -278,7 +278,7 @@ def describe_error(error: BaseException) -> str:
 
 
 def _describe_wrong_entry(entry: Any) -> str:
-    """Explain what is invalid in an entry of a batch."""
+    """Explain what is invalid in an entry of a batch of requests."""
     what = int(entry["what"])
     names = {number: name for number, name, *_ in ENTRIES}
     if what not in names:

@@ -90,7 +90,7 @@ class Switches:
         return [s.pin for s in self._axis.plant.switches]
 
     def as_dict(self) -> dict[str, bool]:
-        """Return the level of every switch fitted."""
+        """Return the level of every limit switch that the axis has, by name."""
         return {s.pin: getattr(self, s.pin) for s in self._axis.plant.switches}
 
     def list_trip_positions(self) -> dict[str, float]:
@@ -122,11 +122,11 @@ class AxisFaults:
     open_phases: int = 0
 
     def copy(self) -> AxisFaults:
-        """Return the present values as plain data, for `load`."""
+        """Return the present values of the axis' faults as plain data, for `load`."""
         return replace(self, switches=self.switches.tolist())
 
     def load(self, copy: AxisFaults) -> None:
-        """Load the values of a copy that was made of the same axis of an equal stage."""
+        """Load values of faults that `copy` returned for the same axis of an equal stage."""
         switches = self.switches
         switches[:] = copy.switches
         vars(self).update(vars(copy), switches=switches)
@@ -188,7 +188,7 @@ class Axis(DeclaredAttributes):
 
     @property
     def pins(self) -> Pins:
-        """Pins of the chip that belong to this axis."""
+        """Pins of the axis' chip that belong to this axis."""
         return self.chip.axes[self.chip_axis].pins
 
     @property

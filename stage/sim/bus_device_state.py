@@ -29,7 +29,7 @@ class DeviceState:
         self.words = 0
 
     def add_device(self, name: str, arrays: Sequence[np.ndarray]) -> None:
-        """Add the arrays of a device.
+        """Add the state arrays of a device on the bus.
 
         Args:
             name: Name of the device.
@@ -51,7 +51,7 @@ class DeviceState:
         return ((HEADER_PART, "; ".join(self._names)),) if self._names else ()
 
     def copy_to(self, words: np.ndarray) -> None:
-        """Copy all arrays into one array.
+        """Copy the state arrays of all devices into one array of words.
 
         Args:
             words: Array of `words` float64 or int64 values.
@@ -60,7 +60,7 @@ class DeviceState:
             place[:] = array
 
     def copy_from(self, words: np.ndarray) -> None:
-        """Copy all arrays back from one array.
+        """Copy the state arrays of all devices back from one array of words.
 
         Args:
             words: Array that `copy_to` has filled.
@@ -69,7 +69,7 @@ class DeviceState:
             array[:] = place
 
     def move_to(self, words: np.ndarray) -> list[np.ndarray]:
-        """Move the memory of all arrays into one array.
+        """Move the memory of all devices' state arrays into one array of words.
 
         Args:
             words: Array of `words` float64 or int64 values, which the devices use from now on.

@@ -211,7 +211,7 @@ def _pass_loads_to_chips(handle):
 
 @hot
 def _read_motor_currents(handle):
-    """Read the motor currents from the chips that set the currents of their motors."""
+    """Read the phase currents from the chips that set the currents of their motors."""
     rows = get_drives(handle)
     for a in range(len(rows)):
         t = get_axis_table(handle)[a]
@@ -371,7 +371,7 @@ def release_stage(handle, token):
 
 @exported(None, HANDLE, "i8")
 def update_switches(handle, axis_index):
-    """Apply a switch fault of an axis that begins or ends within a window: set the levels, and predict later edges."""
+    """Apply a switch fault of an axis that begins or ends within a physics step: set the levels, and predict later edges."""
     axis, t = get_axes(handle)[axis_index], get_axis_table(handle)[axis_index]
     axis.next_edge, axis.awake = axis.index_edge if t.index_bit else NEVER, 1
     for k in range(t.first_switch, t.end_switch):

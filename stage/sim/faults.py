@@ -76,7 +76,7 @@ class Fault:
                 stage.note_fault(self, True)
 
     def clear(self) -> None:
-        """End the fault now. Its effects on the state, such as lost steps, remain. A second call does nothing."""
+        """End this fault now. Its effects on the state, such as lost steps, remain. A second call does nothing."""
         if not self.in_force:
             return
         with exclusively(self._stage):
@@ -419,7 +419,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
         raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
 
     def delay_start(address: int, value: int) -> bool:
-        """Let time pass before a start command. Return False: the write is not lost."""
+        """Let time pass before the axis' start command is written. Return False: the write is not lost."""
         if axis.chip.would_start_drive(address, value, axis.chip_axis):
             fault.clear()
             axis.stage.run(seconds)
@@ -467,7 +467,7 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
 
 
 def _make_bus_fault(where: Axis | Chip, description: str, loses_write: Callable[[int, int], bool]) -> Fault:
-    """Make a fault of the bus.
+    """Make a fault of the bus that loses writes.
 
     Args:
         where: Axis whose chip has the fault, or the chip.
@@ -488,7 +488,7 @@ def _make_bus_fault(where: Axis | Chip, description: str, loses_write: Callable[
 
 
 def _check_type(value: Any, expected_type: type = Axis) -> None:
-    """Raise ArgumentError if a value is not of a type."""
+    """Raise ArgumentError if a value that should name the place of a fault is not of the expected type."""
     if not isinstance(value, expected_type):
         wanted = "stage.axes['x']" if expected_type is Axis else "a Stage"
         raise ArgumentError(f"{value!r} is not what breaks here: give {wanted}.")

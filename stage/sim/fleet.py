@@ -44,7 +44,7 @@ CHUNKS_PER_THREAD = 4  # a thread's run_next_chunks, so that a slow stage does n
 
 
 class PlayedPrograms(NamedTuple):
-    """Results of a fleet's programs.
+    """Results of the programs that the stages of a fleet have played.
 
     Attributes:
         results: (stages, operations) int64.
@@ -221,7 +221,7 @@ class Fleet:
         self.__init__(state["stages"], state["threads"])  # type: ignore[misc]
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads of the fleet."""
         self._stop_background()
         if self._pool is not None:
             self._pool.shutdown()
@@ -389,7 +389,7 @@ def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, 
 
 
 def _count_processors() -> int:
-    """Return the number of processors that this process may use."""
+    """Return the number of processors (CPU cores) that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -61,7 +61,7 @@ class ProcedureThread:
         self._thread.start()
 
     def resume(self) -> None:
-        """Let the procedure go on up to its next wait or its end."""
+        """Let the procedure of this thread go on up to its next wait or its end."""
         self._schedule.running = self
         self._may_run.release()
         try:
@@ -187,6 +187,6 @@ class ProcedureSchedule:
         )
 
     def cancel_all(self) -> None:
-        """End all procedures at the waits in which they are."""
+        """End all procedures of the machine at the waits in which they are."""
         for thread in tuple(self.waiting):
             thread.cancel()

@@ -134,7 +134,7 @@ class Program(Operations):
         return len(self.ops)
 
     def write(self, axis: int, address: int, value: int) -> Self:
-        """Add one bus write cycle.
+        """Add one bus write cycle to the program.
 
         Args:
             axis: Index of the axis whose chip it goes to.
@@ -145,7 +145,7 @@ class Program(Operations):
         return self
 
     def read(self, axis: int, address: int) -> Self:
-        """Add one bus read cycle; the value is the operation's result.
+        """Add one bus read cycle to the program; the value that is read is the operation's result.
 
         Args:
             axis: Index of the axis whose chip it goes to.
@@ -155,7 +155,7 @@ class Program(Operations):
         return self
 
     def wait(self, seconds: float) -> Self:
-        """Add a wait of simulated time, s."""
+        """Add a wait of simulated time, s, to the program."""
         self.ops.append((WAIT, _to_ns("seconds", seconds), 0, 0))
         return self
 

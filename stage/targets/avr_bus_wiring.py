@@ -49,7 +49,7 @@ class BusPins(NamedTuple):
     base: int | None
 
     def list_all(self) -> set[Pin]:
-        """Return all pins of the bus."""
+        """Return all pins of the AVR that form its bus."""
         pins = (*self.address, self.cs, self.wr, self.rd, self.irq)
         return {pin for pin in pins if pin} | {(self.data, bit) for bit in range(8)}
 
@@ -93,7 +93,7 @@ class AvrBus:
 
 
 def parse_bus_pins(texts: str | Sequence[str]) -> BusPins:
-    """Parse the description of a bus.
+    """Parse the description of the pins that form an AVR's bus.
 
     Args:
         texts: One description in the form of this module's docstring, for example FORM.
@@ -127,7 +127,7 @@ def parse_bus_pins(texts: str | Sequence[str]) -> BusPins:
 
 
 def _split_description(text: str) -> dict[str, str]:
-    """Split a description into values by key."""
+    """Split the description of an AVR's bus into values by key."""
     parts: dict[str, str] = {}
     for part in text.split(","):
         key, equals, value = part.strip().partition("=")

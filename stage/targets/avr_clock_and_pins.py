@@ -102,7 +102,7 @@ def _read_pin_level(bus, at):
 
 @hot
 def _read_port_address(bus):
-    """Return the port of the board that the address pins select."""
+    """Return the number of the board's port that the AVR's address pins select."""
     pins, address = array_at(bus.addresses, bus.n_addresses, PIN), 0
     levels = array_at(bus.levels, len(PORTS), INTEGER)
     for k in range(bus.n_addresses):
@@ -112,7 +112,7 @@ def _read_port_address(bus):
 
 @hot
 def _update_bus(bus):
-    """Make the bus cycle that begins or ends with the present levels of the pins, if any."""
+    """Make the bus cycle that begins or ends with the present levels of the AVR's bus pins, if any."""
     cpu = array_at(bus.avr, 1, AVR)[0]
     selected, write, read = (
         _read_pin_level(bus, bus.select) == 0,
@@ -174,7 +174,7 @@ def _drive_lines(port, changed):
 
 @hot
 def _count_pins(counts, pins):
-    """Count one more for each of these pins (bits)."""
+    """Increase by one the count of each of these AVR pins (bits)."""
     bit = 0
     while pins >> bit:
         counts[bit] += pins >> bit & 1
@@ -183,7 +183,7 @@ def _count_pins(counts, pins):
 
 @hot
 def _clear_counts(counts, pins):
-    """Set the counts of these pins (bits) to 0."""
+    """Set the edge counts of these AVR pins (bits) to 0."""
     for bit in range(8):
         if pins >> bit & 1:
             counts[bit] = 0
@@ -288,7 +288,7 @@ def end_quantum(_avr, when, cpu):
 
 @exported("i8", AVR)
 def run(cpu):
-    """Run until the program ends or cannot continue; return simavr's state.
+    """Run the AVR until the program ends or cannot continue; return simavr's state.
 
     A pending interrupt is served one instruction after SEI; simavr alone would wait for one instruction more.
     """

@@ -127,7 +127,7 @@ def deliver_sent_byte(_avr, when, uart):
 
 @hot
 def _send_oldest_byte(cpu, uart):
-    """Pass the oldest byte of the queue to the board."""
+    """Pass the oldest byte of the AVR's send queue to the board."""
     byte = uart.queue[uart.first]
     uart.first, uart.queued = (uart.first + 1) % QUEUE, uart.queued - 1
     request(cpu, SEND_SERIAL, byte, uart.line)
@@ -153,7 +153,7 @@ def _present_byte(cpu, uart, byte):
 
 @hot
 def _store_byte(cpu, uart, byte):
-    """Store a received byte in the receiver. A byte that finds the receiver full is lost."""
+    """Store a received byte in the receiver of the AVR's UART. A byte that finds the receiver full is lost."""
     if not uart.presented:
         _present_byte(cpu, uart, byte)
     elif uart.waiting < DEPTH - 1:

@@ -215,7 +215,7 @@ def _drive_output(simavr, unit, matches):
 
 @hot
 def _set_flag(simavr, address):
-    """Set the flag of the interrupt at an address, and raise the interrupt if it is enabled."""
+    """Set the flag of the AVR interrupt at an address, and raise the interrupt if it is enabled."""
     if address:
         vector = array_at(address, 1, VECTOR)[0]
         if vector.vector and not _is_flag_set(simavr, vector):
@@ -315,7 +315,7 @@ def _call_original(timer, simavr, register, value):
 
 @hot
 def _find_top(timer):
-    """Return the greatest count of a timer in CTC mode."""
+    """Return the greatest count of an AVR timer in CTC mode."""
     units = array_at(timer.units, N_UNITS, UNIT)
     return units[CAPTURE].value if timer.is_top_icr else units[0].value
 
@@ -378,7 +378,7 @@ def _note_pwm_outputs(timer, simavr):
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_control(_avr, register, value, timer):
-    """Handle a write of TCCRnA, TCCRnB or ASSR."""
+    """Handle a write of TCCRnA, TCCRnB or ASSR, the control registers of an AVR timer."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
     cycle = _get_access_cycle(simavr) + 1
     _update_timer(timer, cycle)
@@ -406,7 +406,7 @@ def write_control(_avr, register, value, timer):
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_strobes(_avr, _register, value, timer):
-    """Handle a write of TCCRnC of a 16-bit timer, which reads as 0."""
+    """Handle a write of TCCRnC (forced compare bits) of a 16-bit AVR timer, which reads as 0."""
     if not timer.is_simavrs:
         simavr = _get_simavr(timer)
         _update_timer(timer, _get_access_cycle(simavr) + 1)
@@ -433,7 +433,7 @@ def _write_word(timer, simavr, register, high, value):
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_compare(_avr, register, value, timer):
-    """Handle a write of OCRnA, OCRnB, OCRnC or ICRn."""
+    """Handle a write of OCRnA, OCRnB, OCRnC or ICRn, the compare and capture registers of an AVR timer."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
     _update_timer(timer, _get_access_cycle(simavr) + 1)
     units = array_at(timer.units, N_UNITS, UNIT)
@@ -447,7 +447,7 @@ def write_compare(_avr, register, value, timer):
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_count(_avr, register, value, timer):
-    """Handle a write of TCNTn."""
+    """Handle a write of TCNTn, the count of an AVR timer."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
     cycle = _get_access_cycle(simavr) + 1
     _update_timer(timer, cycle)
@@ -462,7 +462,7 @@ def write_count(_avr, register, value, timer):
 
 @exported("i4", "i8", "i4", TIMER)
 def read_count(_avr, register, timer):
-    """Return the low byte of TCNTn, and store the high byte in TEMP."""
+    """Return the low byte of TCNTn, the count of an AVR timer, and store the high byte in TEMP."""
     simavr, register = _get_simavr(timer), register & 0xFFFF
     if timer.is_simavrs:
         value = _read_register(timer.read, (simavr.avr, register, timer.read_parameter)) & 0xFF
@@ -478,7 +478,7 @@ def read_count(_avr, register, timer):
 
 @exported("i4", "i8", "i4", TIMER)
 def read_capture(_avr, register, timer):
-    """Return the low byte of ICRn, and store the high byte in TEMP."""
+    """Return the low byte of ICRn, the capture register of an AVR timer, and store the high byte in TEMP."""
     simavr, unit = _get_simavr(timer), array_at(timer.units, N_UNITS, UNIT)[CAPTURE]
     if timer.is_simavrs:
         timer.temp = read_register_byte(simavr, unit.high)
@@ -511,13 +511,13 @@ def write_enables(_avr, register, value, simavr):
 
 @hot
 def _clear_flag(simavr, vector):
-    """Clear the flag of an interrupt."""
+    """Clear the flag of an AVR interrupt."""
     write_register_byte(simavr, vector.flag, read_register_byte(simavr, vector.flag) & ~vector.flag_mask)
 
 
 @exported("i4", "i8", "i4", SIMAVR)
 def read_flags(_avr, register, simavr):
-    """Return TIFRn with all flags up to date."""
+    """Return TIFRn, the flags of an AVR timer, with all flags up to date."""
     register = register & 0xFFFF
     vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
     for k in range(simavr.n_vectors):
@@ -530,7 +530,7 @@ def read_flags(_avr, register, simavr):
 
 @exported(None, "i8", "i4", "i4", SIMAVR)
 def write_flags(_avr, register, value, simavr):
-    """Handle a write of TIFRn, where each 1 clears a flag."""
+    """Handle a write of TIFRn, the flags of an AVR timer, where each 1 clears a flag."""
     register = register & 0xFFFF
     vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
     for k in range(simavr.n_vectors):
@@ -566,7 +566,7 @@ def spend_response_time(_irq, value, simavr):
 
 @exported(None, "i8", "i4", TIMER)
 def capture_count(irq, level, timer):
-    """Copy the count to ICRn at an edge of the capture pin; simavr sets the flag."""
+    """Copy the count of an AVR timer to ICRn at an edge of its capture pin; simavr sets the flag."""
     was_high = array_at(irq + IRQ_LEVEL, 1, WORD)[0] != 0
     if timer.is_simavrs or timer.is_top_icr or was_high == (level != 0):
         return

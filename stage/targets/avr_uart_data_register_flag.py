@@ -20,7 +20,7 @@ _write_register = declare_address_call(None, "i8", "i4", "i4", "i8")
 
 @exported(None, "i8", "i4", "i4", TRANSMITTER)
 def write_transmitter_enable(avr, register, value, row):
-    """Handle a write of UCSRnB, and set UDREn when the program switches the transmitter off."""
+    """Handle a write of the AVR's UCSRnB, and set UDREn when the program switches the transmitter off."""
     simavr = array_at(row.simavr, 1, SIMAVR)[0]
     was_enabled = read_bits(simavr, row.transmitter)
     _write_register(row.function, (avr, register & 0xFFFF, value & 0xFF, row.parameter))

@@ -118,7 +118,7 @@ class Cortex(UnicornProcessor):
     # --- memory ---
 
     def read_word(self, address: int) -> int:
-        """Return 32 bits of memory."""
+        """Return 32 bits of the Cortex-M's memory."""
         return int.from_bytes(self.uc.mem_read(address, 4), "little")
 
     def _map_memory(self, windows: tuple[Window, ...]) -> None:
@@ -143,7 +143,7 @@ class Cortex(UnicornProcessor):
         self.uc.mmio_map(PRIVATE, PRIVATE_SIZE, self._read_private, None, self._write_private, None)
 
     def _load_segments(self) -> int:
-        """Load the segments into memory; return the address of the vector table."""
+        """Load the segments of the program into memory; return the address of the vector table."""
         import unicorn
 
         for segment in self._elf.segments:
@@ -175,7 +175,7 @@ class Cortex(UnicornProcessor):
         return self._pc | 1
 
     def get_program_counter(self) -> int:
-        """Return the program counter."""
+        """Return the program counter of the Cortex-M."""
         return self._pc
 
     def set_program_counter(self, address: int) -> None:
@@ -187,7 +187,7 @@ class Cortex(UnicornProcessor):
         self._pc = self.get_register("pc") & ~1
 
     def describe_location(self) -> str:
-        """Return the source line of the program counter."""
+        """Return the source line at the program counter."""
         return self._elf.describe_address(self.get_register("pc") & ~1)
 
     def _store_exception(self, _uc: Any, number: int, _user: Any) -> None:
@@ -219,7 +219,7 @@ class Cortex(UnicornProcessor):
         self._update_interrupt_fields()
 
     def _handle_exception(self, number: int) -> None:
-        """Handle an exception that Unicorn reports."""
+        """Handle an exception of the Cortex-M that Unicorn reports."""
         if number == _EXIT:
             self._leave_exception(self._pc)
         elif number == _SVC:
@@ -359,6 +359,6 @@ class Semihosting:
         return text.split(b"\0")[0].decode("latin1")
 
     def _count_hundredths(self) -> int:
-        """Return the simulated time in hundredths of a second."""
+        """Return the simulated time in hundredths of a second, for the program."""
         t = self._cpu.record
         return int(t.cycles) * 100 // int(t.hz)

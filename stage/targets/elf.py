@@ -46,7 +46,7 @@ _DAMAGED = (ValueError, LookupError, TypeError, AttributeError, AssertionError, 
 
 
 class Segment(NamedTuple):
-    """Segment of a program.
+    """Segment of an ELF program: a part of its file that is loaded into memory.
 
     Attributes:
         at: Address at which it is loaded.
@@ -172,8 +172,7 @@ class Elf:
         return segments
 
     def _read_symbols(self, thumb: bool) -> dict[str, int]:
-        """Return addresses by name. With `thumb`, the lowest bit of a function's address is a processor state and is
-        removed."""
+        """Return the addresses of the program's symbols by name. With `thumb`, bit 0 of a function's address is removed."""
         symbols: dict[str, int] = {}
         self._functions: list[tuple[int, str]] = []
         for table in (s for s in self._sections if s["sh_type"] == "SHT_SYMTAB"):

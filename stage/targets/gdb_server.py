@@ -205,7 +205,7 @@ class DebugServer:
         self._engine.uc.emu_stop()
 
     def _close_connection(self) -> None:
-        """Close the connection, remove all breakpoints, and let the program continue."""
+        """Close the debugger's connection, remove all breakpoints, and let the program continue."""
         if self._socket is not None:
             self._socket.close()
         self._socket, self.is_halted = None, False
@@ -221,7 +221,7 @@ class DebugServer:
                 self._close_connection()
 
     def _receive_command(self) -> str | None:
-        """Return the next command, CTRL_C, or None if the debugger has disconnected."""
+        """Return the next command of GDB, CTRL_C, or None if the debugger has disconnected."""
         while self._socket is not None:
             self._received = self._received.lstrip(b"+-")
             if self._received.startswith(CTRL_C.encode()):
@@ -253,7 +253,7 @@ class DebugServer:
     # --- commands ---
 
     def _execute_command(self, command: str) -> str | None:
-        """Execute a command and return the reply, or None if there is no reply or it follows later."""
+        """Execute a command of GDB and return the reply, or None if there is no reply or it follows later."""
         kind, rest = command[:1], command[1:]
         if kind in "cs" or command.startswith("vCont;"):
             one = kind == "s" or command.startswith("vCont;s")
@@ -275,7 +275,7 @@ class DebugServer:
             return _ERROR
 
     def _answer_query(self, command: str) -> str:
-        """Return the reply to a query (q, Q, v, H, T) or to a question for the last signal (?)."""
+        """Return the reply to a query of GDB (q, Q, v, H, T) or to a question for the last signal (?)."""
         if command.startswith("qXfer:features:read:target.xml:"):
             at, size = _parse_range(command.rsplit(":", 1)[1])
             description = self._registers.description
@@ -290,22 +290,22 @@ class DebugServer:
         return _REPLIES.get(command, "OK" if command[0] in "HT" else "")
 
     def _read_all_registers(self, _rest: str) -> str:
-        """Return all registers in hexadecimal (command g)."""
+        """Return all registers of the processor in hexadecimal (GDB command g)."""
         return "".join(self._format_register(n) for n in range(len(self._registers.sizes)))
 
     def _write_all_registers(self, rest: str) -> str:
-        """Write all registers (command G)."""
+        """Write all registers of the processor (GDB command G)."""
         for n, size in enumerate(self._registers.sizes):
             self._registers.write(n, int.from_bytes(bytes.fromhex(rest[: 2 * size]), "little"))
             rest = rest[2 * size :]
         return "OK"
 
     def _read_register(self, rest: str) -> str:
-        """Return a register in hexadecimal (command p)."""
+        """Return a register of the processor in hexadecimal (GDB command p)."""
         return self._format_register(int(rest, 16))
 
     def _write_register(self, rest: str) -> str:
-        """Write a register (command P)."""
+        """Write a register of the processor (GDB command P)."""
         number, value = rest.split("=")
         self._registers.write(int(number, 16), int.from_bytes(bytes.fromhex(value), "little"))
         return "OK"
@@ -316,14 +316,14 @@ class DebugServer:
         return (self._registers.read(n) & (1 << 8 * size) - 1).to_bytes(size, "little").hex()
 
     def _read_memory(self, rest: str) -> str:
-        """Return memory in hexadecimal (command m), or an error for a window of the board."""
+        """Return memory in hexadecimal (GDB command m), or an error for a memory window of the board."""
         at, size = _parse_range(rest)
         if self._engine.overlaps_window(at, size):
             return _ERROR
         return bytes(self._engine.uc.mem_read(at, min(size, MAX_READ))).hex()
 
     def _write_memory(self, rest: str) -> str:
-        """Write memory (command M), or return an error for a window of the board."""
+        """Write memory (GDB command M), or return an error for a memory window of the board."""
         where, content = rest.split(":")
         at, size = _parse_range(where)
         if self._engine.overlaps_window(at, size):
@@ -332,7 +332,7 @@ class DebugServer:
         return "OK"
 
     def _set_breakpoint(self, rest: str) -> str:
-        """Set a breakpoint (command Z)."""
+        """Set a breakpoint (GDB command Z)."""
         kind, address = rest.split(",")[:2]
         at = int(address, 16)
         if kind not in "01":
@@ -342,7 +342,7 @@ class DebugServer:
         return "OK"
 
     def _clear_breakpoint(self, rest: str) -> str:
-        """Clear a breakpoint (command z)."""
+        """Clear a breakpoint (GDB command z)."""
         kind, address = rest.split(",")[:2]
         if kind not in "01":
             return ""
@@ -355,7 +355,7 @@ class DebugServer:
             self._engine.uc.hook_del(self._breakpoints.pop(address))
 
     def _halt_at_breakpoint(self, _uc: Any, address: int, size: int, _user: Any) -> None:
-        """Halt before the instruction at a breakpoint, unless the program continues from there."""
+        """Halt the program before the instruction at a breakpoint, unless the program continues from there."""
         skipped, self._skipped = self._skipped, None
         if address == skipped or address not in self._breakpoints:
             return
@@ -365,6 +365,6 @@ class DebugServer:
 
 
 def _parse_range(text: str) -> tuple[int, int]:
-    """Return address and size in a text such as "1000,20", both in hexadecimal."""
+    """Return address and size in a text of GDB such as "1000,20", both in hexadecimal."""
     at, size = (int(part, 16) for part in text.split(","))
     return at, size

@@ -52,11 +52,11 @@ class Nvic:
         return None if priority >= self._get_active_priority() or (basepri and priority >= basepri) else number
 
     def _list_waiting_exceptions(self) -> set[int]:
-        """Return the exceptions, other than that of the board's line, that are pending and enabled."""
+        """Return the exceptions, other than that of the board's interrupt line, that are pending and enabled."""
         return {n for n in self._pending if n < FIRST or n in self._enabled}
 
     def _list_candidates(self) -> set[int]:
-        """Return all exceptions that are pending and enabled, including that of the board's line."""
+        """Return all exceptions that are pending and enabled, including that of the board's interrupt line."""
         line = FIRST + self._irq if self._irq is not None else None
         may_come = self.level and line in self._enabled and line not in self._active
         return self._list_waiting_exceptions() | ({line} if line is not None and may_come else set())
@@ -95,7 +95,7 @@ class Nvic:
         )
 
     def can_line_interrupt(self) -> bool:
-        """Tell whether the interrupt of the board's line is enabled, with a higher priority than the running routine."""
+        """Tell whether the interrupt of the board's line is enabled and has a higher priority than the running routine."""
         if self._irq is None or FIRST + self._irq not in self._enabled or FIRST + self._irq in self._active:
             return False
         return self._priority.get(FIRST + self._irq, 0) < self._get_active_priority()
@@ -134,7 +134,7 @@ class Nvic:
     # --- registers ---
 
     def read(self, offset: int) -> int:
-        """Return a register of 32 bits.
+        """Return a register of 32 bits of the interrupt controller (NVIC).
 
         Args:
             offset: Offset of the register from E0000000h, a multiple of 4.
@@ -170,7 +170,7 @@ class Nvic:
         return sum(1 << n - FIRST - offset * 8 for n in numbers if 0 <= n - FIRST - offset * 8 < 32)
 
     def write(self, offset: int, value: int, size: int, byte: int) -> bool:
-        """Write a register.
+        """Write a register of the interrupt controller (NVIC).
 
         Args:
             offset: Offset of the register.

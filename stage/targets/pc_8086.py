@@ -105,7 +105,7 @@ class Pc(UnicornProcessor):
     # --- memory ---
 
     def read(self, segment: int, offset: int, size: int) -> bytes:
-        """Read memory.
+        """Read memory of the PC.
 
         Args:
             segment: Segment of the first byte.
@@ -115,7 +115,7 @@ class Pc(UnicornProcessor):
         return bytes(self.uc.mem_read((segment << 4) + (offset & 0xFFFF), size))
 
     def write(self, segment: int, offset: int, content: bytes) -> None:
-        """Write memory.
+        """Write memory of the PC.
 
         Args:
             segment: Segment of the first byte.
@@ -215,7 +215,7 @@ class Pc(UnicornProcessor):
             self.dos.execute_interrupt(number)
 
     def get_start_address(self) -> int:
-        """Return the linear address of CS:IP."""
+        """Return the linear address of CS:IP, at which the 8086 continues."""
         return (self.get_register("cs") << 4) + self.get_register("ip")
 
     def set_program_counter(self, address: int) -> None:
@@ -223,7 +223,7 @@ class Pc(UnicornProcessor):
         self.set_registers(ip=address - (self.get_register("cs") << 4) & 0xFFFF)
 
     def describe_location(self) -> str:
-        """Return CS:IP and the offset that appears in the linker's map."""
+        """Return CS:IP of the 8086 and the offset that appears in the linker's map."""
         cs, ip = self.get_register("cs"), self.get_register("ip")
         return f"{cs:04X}:{ip:04X} (offset {((cs - PREFIX_SEGMENT) << 4) + ip:X}h of its segment)"
 
@@ -297,7 +297,7 @@ class Pc(UnicornProcessor):
     # --- ports of the PC ---
 
     def _access_internal_port(self, own: int, port: int, size: int, value: int) -> int:
-        """Make a cycle at a port below INTERNAL_PORTS.
+        """Make a cycle at a port of the PC itself, below INTERNAL_PORTS.
 
         Args:
             own: Address of the MACHINE record.

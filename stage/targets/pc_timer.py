@@ -13,7 +13,7 @@ _SQUARE = 3
 
 @dataclass
 class TimerChannel:
-    """Counter channel of the timer.
+    """Counter channel of a PC's timer.
 
     Attributes:
         mode, access: Fields of the control word.
@@ -33,7 +33,7 @@ class TimerChannel:
     half: int = 0
 
     def compute_count(self, now: int) -> int:
-        """Compute the count, as the processor reads it.
+        """Compute the count of the timer channel, as the processor reads it.
 
         Args:
             now: Time in timer clocks.
@@ -46,7 +46,7 @@ class TimerChannel:
         return (self.reload - passed) & 0xFFFF
 
     def compute_output(self, now: int) -> bool:
-        """Compute the level of the output pin.
+        """Compute the level of the output pin of the timer channel.
 
         Args:
             now: Time in timer clocks.
@@ -75,7 +75,7 @@ class PcTimer:
         return c.started + ((self._now() - c.started) // c.reload + 1) * c.reload
 
     def read(self, port: int) -> int:
-        """Read a port.
+        """Read a port of the PC's timer.
 
         Args:
             port: 40h to 42h for the next byte of a counter, 43h, or 61h for the output of channel 2 in bit 5 and the refresh
@@ -98,7 +98,7 @@ class PcTimer:
         return value & 0xFF if c.access == 1 else value >> 8
 
     def write(self, port: int, value: int) -> None:
-        """Write a port.
+        """Write a port of the PC's timer.
 
         Args:
             port: 40h to 42h for the next byte of a reload value, 43h for a control word, or 61h for the gate of channel 2.

@@ -59,7 +59,7 @@ def _are_interrupts_enabled(cpu):
 
 @hot
 def poll(cpu):
-    """Advance the board to the processor's time, and read the interrupt line. Return 1 if Python has something to handle."""
+    """Advance the board to the processor's time, and read its interrupt line. Return 1 if Python has something to handle."""
     line = advance_board(cpu, cpu.cycles)
     if line and not (cpu.edge and cpu.before):
         cpu.raised = 1
@@ -81,7 +81,7 @@ def poll_from_python(cpu):
 
 @exported(None, MACHINE)
 def wait(cpu):
-    """Let time pass without instructions until Python has something to handle."""
+    """Let simulated time pass without instructions until Python has something to handle."""
     while not poll(cpu):
         cpu.cycles = cpu.due
 
@@ -110,7 +110,7 @@ def _write_port(cpu, size, port, value):
 
 @exported("i4", "i8", "i4", "i4", MACHINE)
 def execute_in(_uc, port, size, cpu):
-    """Execute the instruction IN. Unicorn calls this."""
+    """Execute the 8086 instruction IN at ports of the board. Unicorn calls this."""
     if port < cpu.n_internal_ports:
         return _internal_port(cpu.internal_port, (cpu.own, port, size, -1))
     value = _read_port(cpu, size, port)
@@ -120,7 +120,7 @@ def execute_in(_uc, port, size, cpu):
 
 @exported(None, "i8", "i4", "i4", "i4", MACHINE)
 def execute_out(_uc, port, size, value, cpu):
-    """Execute the instruction OUT. Unicorn calls this."""
+    """Execute the 8086 instruction OUT at ports of the board. Unicorn calls this."""
     if port < cpu.n_internal_ports:
         _internal_port(cpu.internal_port, (cpu.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
         return
@@ -130,7 +130,7 @@ def execute_out(_uc, port, size, value, cpu):
 
 @hot
 def _find_port(cpu, address, size):
-    """Return the port of the board for an address in a window. For other addresses, stop Unicorn and return -1."""
+    """Return the board's port for an address in a memory window. For other addresses, stop Unicorn and return -1."""
     windows = array_at(cpu.windows, cpu.n_windows, WINDOW)
     for k in range(cpu.n_windows):
         n = address - windows[k].address

@@ -38,7 +38,7 @@ class _MachineRecord(ctypes.Structure):
 
 
 class Registers:
-    """Group of registers that are read and written in one call."""
+    """Group of registers of an emulated processor that are read and written in one call."""
 
     def __init__(self, lib: Any, handle: Any, numbers: list[int]):
         n = len(numbers)
@@ -48,12 +48,12 @@ class Registers:
         self._pointers = (ctypes.c_void_p * n)(*(begin + 8 * k for k in range(n)))
 
     def read_all(self) -> list[int]:
-        """Return the values of the registers."""
+        """Return the values of the registers of this group."""
         self._lib.uc_reg_read_batch(self._handle, self._numbers, self._pointers, self._n)
         return [value & 0xFFFFFFFF for value in self._values]
 
     def write_all(self, *values: int) -> None:
-        """Set the registers, in their order."""
+        """Set the registers of this group, in their order."""
         self._values[:] = list(values)
         self._lib.uc_reg_write_batch(self._handle, self._numbers, self._pointers, self._n)
 
@@ -125,11 +125,11 @@ class UnicornProcessor:
         return int(self._constants[self.REGISTER_PREFIX + name.upper()])
 
     def get_register(self, name: str) -> int:
-        """Return the value of a register."""
+        """Return the value of a register of the emulated processor."""
         return int(self.uc.reg_read(self.find_register_number(name)))
 
     def set_registers(self, **values: int) -> None:
-        """Set registers."""
+        """Set registers of the emulated processor by name."""
         for name, value in values.items():
             self.uc.reg_write(self.find_register_number(name), value)
 
@@ -165,7 +165,7 @@ class UnicornProcessor:
         self.add_hook(_INSN, processor_clock_and_bus_cycles.execute_out.pointer, _OUT)
 
     def map_windows(self, windows: Any) -> None:
-        """Map the pages of memory in which windows of the board lie."""
+        """Map the pages of memory in which memory windows of the board lie."""
         self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], processor_clock_and_bus_cycles.WINDOW)
         self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
         self.window_pages = sorted({page for w in windows for page in range(w.address & -PAGE_SIZE, w.end, PAGE_SIZE)})
@@ -265,7 +265,7 @@ class UnicornProcessor:
         return self.code
 
     def _run_to_stop(self) -> None:
-        """Run until Unicorn stops, and handle the reason."""
+        """Run the program until Unicorn stops, and handle the reason for the stop."""
         gdb = self.gdb
         if gdb is not None:
             gdb.prepare_engine_run()
@@ -324,7 +324,7 @@ class UnicornProcessor:
         raise NotImplementedError
 
     def end(self, code: int) -> None:
-        """End the program.
+        """End the program that runs on the emulated processor.
 
         Args:
             code: Exit code of the program.

@@ -21,7 +21,7 @@ MAX_PULSES_PER_ACT = 20_000
 
 
 class Act(NamedTuple):
-    """One action on a chip.
+    """One action on a chip in a random test: a bus cycle, a change of pins, a reset, or time.
 
     Attributes:
         kind: "write", "read", "pin", "time" or "reset".
@@ -35,7 +35,7 @@ class Act(NamedTuple):
 
 
 def perform_act(chip: Chip, act: Act) -> Any:
-    """Execute an action and return the chip's answer: the word read, or the number of pulses made; else None."""
+    """Execute an action on a chip and return its answer: the word read, or the number of pulses made; else None."""
     if act.kind == "write":
         chip.write(act.a, act.b)
     elif act.kind == "read":

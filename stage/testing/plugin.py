@@ -47,7 +47,7 @@ EVIDENCE_KEY: pytest.StashKey[Any] = pytest.StashKey()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options of the plugin."""
+    """Add the options of the pytest plugin."""
     group = parser.getgroup("pulsestage", "PulseStage: tests of motion firmware")
     for name, (choices, text) in OPTIONS.items():
         group.addoption(f"--pulsestage-{name}", choices=choices, metavar=None if choices else "DIR", help=text)

@@ -58,7 +58,7 @@ class PromiseTrial:
         return list_start_writes(self.make())
 
     def draw_acts(self, rng: np.random.Generator, count: int) -> list[Act]:
-        """Draw random acts."""
+        """Draw random actions on the chip."""
         return draw_acts(self.chip_class, rng, count, start_writes=self.start_writes)
 
     def draw_program(self, rng: np.random.Generator) -> list[Act]:
@@ -108,7 +108,7 @@ class PromiseTrial:
 
 
 def read_counter(chip: Chip, axis: int) -> int:
-    """Read an axis' counter from the core."""
+    """Read the pulse counter of a chip's axis from its core."""
     return int(chip.CORE.read_counter.with_gil(chip.pointer, axis))
 
 

@@ -17,7 +17,7 @@ DEFAULT_FLEET_SIZE = 48
 
 
 class MoveOutcomes(NamedTuple):
-    """Measurements of moves, each an array (plans, cases).
+    """Measurements of test moves, each an array of shape (plans, cases).
 
     Attributes:
         arrival_times: Time from the start command until arrival, s; NaN where the move did not arrive.
@@ -113,7 +113,7 @@ class MoveRunner:
         )
 
     def close(self) -> None:
-        """Release the fleet's threads."""
+        """Release the threads of the fleet that makes the test moves."""
         self.fleet.close()
 
     def __enter__(self) -> MoveRunner:

@@ -32,7 +32,7 @@ SPEED_KEYS = ("start", "drive", "up", "down", "s_curve")
 
 @dataclass(frozen=True)
 class Answer:
-    """A plan with its proof.
+    """An answer of `tune`: a plan of a move, with the proof of its registers.
 
     Attributes:
         name: "formula" or "search".
@@ -85,7 +85,7 @@ class TuningResult:
 
     @property
     def answer(self) -> Answer:
-        """Recommended answer."""
+        """Answer that the tuning recommends: the formula's or the search's."""
         return next(answer for answer in self.answers if answer.name == self.selected_name)
 
     def _build_program(self) -> Program:

@@ -31,7 +31,7 @@ TRAINING_TIME_LIMIT_S = 24 * 3600.0
 
 @dataclass(frozen=True)
 class EntryCheck:
-    """Result of the checks of one entry.
+    """Result of the checks of one benchmark entry.
 
     Attributes:
         replayed: Whether a replay has confirmed every reward, observation and score.
@@ -59,7 +59,7 @@ def check_entries(
     spot_checks: int = 0,
     report_progress: Callable[[str], None] = lambda text: None,
 ) -> list[EntryCheck]:
-    """Check entries.
+    """Check entries of the benchmark by replaying them and comparing them with each other.
 
     Args:
         entries: Entries to check.
@@ -83,7 +83,7 @@ def check_entries(
 
 
 def _describe(e: Entry) -> str:
-    """Return player, task, split and run of an entry in words."""
+    """Return player, task, split and run of a benchmark entry in words."""
     return f"{e.player} on {e.task} {e.split}, run {e.run}"
 
 
@@ -100,7 +100,7 @@ def _check_replay(e: Entry, report_progress: Callable[[str], None]) -> EntryChec
 
 
 def _is_shipped(e: Entry) -> bool:
-    """Return whether a shipped player of the entry's name plays its first episodes again, action by action."""
+    """Return whether a player of the entry's name that the package ships repeats its first episodes, action by action."""
     if e.player not in {**COMMON_PLAYERS, **TASK_PLAYERS.get(e.task, {})}:
         return False
     count = min(SHIPPED_EPISODES, len(e.seeds))
@@ -113,7 +113,7 @@ def _is_shipped(e: Entry) -> bool:
 
 
 def _group_runs(entries: list[Entry], checks: list[EntryCheck]) -> list[list[int]]:
-    """Return the indices of the replayed runs of each player that is not shipped."""
+    """Group the replayed runs of each player that the package does not ship; return the indices of each group."""
     groups: dict[tuple, list[int]] = {}
     for k, (e, check) in enumerate(zip(entries, checks, strict=True)):
         if check.replayed and not check.shipped:
@@ -142,7 +142,7 @@ def _retrain(e: Entry, check: EntryCheck) -> EntryCheck:
 
 
 def _fill_in(word: str, values: dict[str, str]) -> str:
-    """Replace the names in braces in a word of a command by their values."""
+    """Replace the names in braces in a word of a training command by their values."""
     for name, value in values.items():
         word = word.replace(name, value)
     return word

@@ -31,20 +31,20 @@ def get_ihold(ihold_irun):
 
 @hot
 def get_iholddelay(ihold_irun):
-    """Return the time between two steps of the current on its way down, in 2^18 clocks."""
+    """Return the time between two steps of the motor current on its way down, in 2^18 clocks."""
     return ihold_irun >> 16 & 15
 
 
 @hot
 def raise_current(c, ihold_irun):
-    """Raise the current to IRUN, if it was reduced."""
+    """Raise the motor current to IRUN, if it was reduced at standstill."""
     if c.current != RUNS:
         c.current, c.falls, c.cs = RUNS, NEVER, get_irun(ihold_irun)
 
 
 @hot
 def apply_current_register(c, ihold_irun):
-    """Apply a write of IHOLD_IRUN."""
+    """Apply a write of IHOLD_IRUN, the register of the motor currents."""
     if c.current == RUNS:
         c.cs = get_irun(ihold_irun)
     elif c.current == HOLDS:
@@ -53,13 +53,13 @@ def apply_current_register(c, ihold_irun):
 
 @hot
 def find_next_reduction(c, begin):
-    """Return the clock at which the current falls next, or NEVER. `begin` is the clock at which it leaves IRUN."""
+    """Return the clock at which the motor current falls next, or NEVER. `begin` is the clock at which it leaves IRUN."""
     return begin if c.current == RUNS else c.falls
 
 
 @hot
 def reduce_current(c, ihold_irun, begin, delay):
-    """Lower the current to IHOLD, step by step.
+    """Lower the motor current to IHOLD, step by step.
 
     Args:
         c: State of the chip.
@@ -85,7 +85,7 @@ def reduce_current(c, ihold_irun, begin, delay):
 
 @hot
 def latch_faults(c, is_driving, chopconf, to_ground, to_supply, ot, otpw):
-    """Latch the faults that are present; each switches the power stage off.
+    """Latch the power stage faults that are present; each switches the power stage off.
 
     Args:
         c: State of the chip.

@@ -11,7 +11,7 @@ STEPS_DOWN = (32, 8, 2, 1)
 
 @hot
 def set_active(c, is_active, irun):
-    """Switch CoolStep on or off. Where it ends, the current of a moving motor returns to IRUN.
+    """Switch CoolStep (current control by load) on or off. Where it ends, the current of a moving motor returns to IRUN.
 
     Args:
         c: State of the chip.
@@ -27,7 +27,7 @@ def set_active(c, is_active, irun):
 
 @hot
 def adapt_current(c, coolconf, irun):
-    """Adapt the current scale `c.cs` to the measurement `c.sg`.
+    """Adapt the current scale `c.cs` to the StallGuard measurement `c.sg`, as CoolStep does.
 
     Args:
         c: State of the chip.

@@ -15,7 +15,7 @@ FULL_LOAD = 1024
 
 @hot
 def compute_load(angle, direction):
-    """Return LAM, 0 to 1024: the load torque as a share of the greatest one.
+    """Return LAM, 0 to 1024: the motor's load torque as a share of the greatest one.
 
     Args:
         angle: Electrical radians by which the field leads the rotor.
@@ -28,7 +28,7 @@ def compute_load(angle, direction):
 
 @hot
 def add_load_sample(c, lam, emf):
-    """Add a sample to the means LAM and EMF over the present full step, which `c.full` counts."""
+    """Add a sample to the means of LAM (load) and EMF over the present full step, which `c.full` counts."""
     if c.load_of != c.full:
         c.load_of, c.load_n, c.load_sum, c.emf_sum = c.full, 0, 0, 0
     c.load_n += 1

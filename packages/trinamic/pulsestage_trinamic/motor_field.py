@@ -27,7 +27,7 @@ PLACE_ANGLE = math.pi / 2 / PLACES_PER_FULL_STEP
 
 @hot
 def move_field(c, places, clocks):
-    """Move the field by `places`, 1/256 full steps each, evenly over the next `clocks` clocks, or at once if `clocks` is 0."""
+    """Move the motor's field by `places`, 1/256 full steps each, evenly over the next `clocks` clocks, or at once if it is 0."""
     k = c.moves % HISTORY
     c.moved_at[k], c.moved_by[k], c.moved_in[k] = c.clock, places, clocks
     c.moves += 1
@@ -36,7 +36,7 @@ def move_field(c, places, clocks):
 
 @hot
 def count_moves(c):
-    """Return the number of steps that the field has made."""
+    """Return the number of steps that the motor's field has made."""
     return c.moves
 
 

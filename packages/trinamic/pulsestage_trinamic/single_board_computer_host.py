@@ -108,7 +108,7 @@ class SingleBoardHost:
         return str(self._end.path)
 
     def _exchange(self) -> bool:
-        """Move bytes between pseudo-terminal and chips, and return whether bytes are on their way."""
+        """Move bytes between the pseudo-terminal and the chips, and return whether bytes are on their way."""
         if self._end is None or self._wire is None:
             return False
         now, room = self.stage.now, self._wire.room
@@ -172,7 +172,7 @@ class SingleBoardHost:
             setattr(time, name, function)
 
     def close(self) -> None:
-        """Close the serial port and give the clock back."""
+        """Close the serial port and give the program its real clock back."""
         for name, function in self._real_functions.items():
             setattr(time, name, function)
         self._real_functions.clear()

@@ -109,7 +109,7 @@ class ParentCallRequest(NamedTuple):
     The answer is a tuple: result of the call, whether it succeeded, `RunOrder.machine`, `RunOrder.hooks`.
 
     Attributes:
-        noted: Numbers of notes in the shared file.
+        noted: Numbers of edges and samples that the child has stored in the shared file so far.
         chip: Number of the chip or device; -1 - k for interrupt source k.
         address: Address at the chip, or register of the device.
         value: Value that is written.

@@ -63,16 +63,16 @@ class ChipPort:
 
     @property
     def count(self) -> float:
-        """Duration of one count of the sample timer, s."""
+        """Duration of one count of the HCTL-1100's sample timer, s."""
         return 16 / self.chip.clock_hz
 
     @property
     def sample(self) -> float:
-        """Sample time, s."""
+        """Sample time of the HCTL-1100, s: one execution of its control law."""
         return self.count * (self.t + 1)
 
     def write_numbers(self, **values: int) -> None:
-        """Write values by name (NUMBERS of the chip's maps), after a check of all values.
+        """Write values of the HCTL-1100 by name (NUMBERS of the chip's maps), after a check of all values.
 
         Raises:
             ArgumentError: A name is unknown, or a value does not fit; no bus cycle has been made.
@@ -89,7 +89,7 @@ class ChipPort:
         self.t = values.get("timer", self.t)
 
     def _read(self, number: RegisterQuantity) -> int:
-        """Read a signed number, low byte first."""
+        """Read a signed number from the HCTL-1100's registers, low byte first."""
         value = sum(self.chip.read(a) << number.shift(a) for a in reversed(number.addresses))
         return to_signed(value, 8 * len(number.addresses))
 
@@ -106,7 +106,7 @@ class ChipPort:
         return to_signed(self.chip.read(INTEGRAL_VELOCITY), 8)
 
     def read_final_position(self) -> int:
-        """Read the end of the latest trapezoid, counts."""
+        """Read the position at which the latest trapezoid ends, counts."""
         return self._read(FINAL_POSITION)
 
     def read_acceleration(self) -> float:
@@ -138,7 +138,7 @@ class ChipPort:
         self.chip.write(MODE, IDLE)
 
     def set_control_mode(self, name: str) -> None:
-        """Set the flag of a control mode ("position" has none), and wait until the sample in progress ends.
+        """Set the flag of a control mode of the HCTL-1100 ("position" has none), and wait until the sample in progress ends.
 
         The chip needs longer to compute a sample if it also computes a profile.
 
@@ -154,7 +154,7 @@ class ChipPort:
         self.axis.wait(self.sample)
 
     def _set_flags(self, name: str) -> None:
-        """Set the flag of a control mode and clear those of the others."""
+        """Set the flag of a control mode of the HCTL-1100, and clear those of the other modes."""
         for flag in MODE_FLAGS.values():
             if flag != MODE_FLAGS.get(name):
                 self.chip.write(FLAG, flag)
@@ -176,7 +176,7 @@ class ChipPort:
         return not self.read_status() & LIMIT
 
     def wait_for_safe_part(self, mode: str = "position") -> None:
-        """Wait for the safe part of a sample: the chip has computed it, and it does not end at once.
+        """Wait for the safe part of a sample: the HCTL-1100 has computed it, and it does not end at once.
 
         Args:
             mode: Control mode, which determines how long the computation takes.
@@ -211,7 +211,7 @@ class ChipPort:
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, expected_event: str, poll: float = POLL_INTERVAL_S
     ) -> float:
-        """Poll until a condition holds.
+        """Poll the HCTL-1100 until a condition holds.
 
         Args:
             condition: Function that returns whether the condition holds.

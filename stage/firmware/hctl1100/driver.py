@@ -206,7 +206,7 @@ class Hctl1100Driver(Driver):
             )
 
     def _check_move(self, pulses: int, speeds: Speeds) -> None:
-        """Raise ArgumentError if the chip cannot make the move."""
+        """Raise ArgumentError if the HCTL-1100 cannot make the move."""
         if not pulses or int(pulses) != pulses:
             raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
         self._check_linear_ramps(speeds)
@@ -295,7 +295,7 @@ class Hctl1100Driver(Driver):
         return "ORG" if cruises and not self.port.read_status() & STOP else ""
 
     def read_status_words(self) -> dict[str, int]:
-        """Read the flags and the status register."""
+        """Read the flags (R00) and the status register (R07) of the HCTL-1100."""
         return {name: self.chip.read(self.chip.MAP.register(name).number) for name in ("R00", "R07")}
 
     def read_register(self, name: str) -> int:
@@ -414,7 +414,7 @@ class Hctl1100Driver(Driver):
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None
     ) -> None:
-        """Add the bus cycles of a move.
+        """Add the bus cycles of a servo's move to a program.
 
         The program writes them in Init/Idle, so that no command falls into the unsafe part of a sample. Rates are rounded to
         counts per sample.
@@ -452,7 +452,7 @@ class _EndLimitReached(Exception):
 
 
 def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, on_row: Callable[[], None]) -> bool:
-    """Write the command positions of a line. If an end limit stops one axis, slow the others down along the line.
+    """Write the command positions of a servo line. If an end limit stops one axis, slow the others down along the line.
 
     Args:
         ports: Ports of the axes.
@@ -466,7 +466,7 @@ def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, 
     sample = 0
 
     def poll_limits() -> None:
-        """Call `on_row`, and raise _EndLimitReached if an axis is in Init/Idle."""
+        """Call `on_row`, and raise _EndLimitReached if the chip of an axis on the line is in Init/Idle."""
         nonlocal sample
         sample += 1
         on_row()

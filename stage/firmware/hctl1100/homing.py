@@ -145,7 +145,7 @@ def leave_limit(
 
 
 def _run_to_switch(port: ChipPort, velocity: int, timeout: float) -> int:
-    """Run in integral velocity mode until STOP has triggered and the axis rests; return the position at which STOP triggered."""
+    """Run a servo axis in integral velocity mode until STOP has triggered and it rests; return the position of the trigger."""
     port.write_numbers(integral_velocity=0)
     port.set_control_mode("integral velocity")
     if port.read_status() & STOP:
@@ -160,7 +160,7 @@ def _run_to_switch(port: ChipPort, velocity: int, timeout: float) -> int:
 
 
 def _check_limit(port: ChipPort, expected_event: str) -> None:
-    """Raise RunTimeout if LIMIT has triggered. `expected_event` names the event that was expected, for the message."""
+    """Raise RunTimeout if LIMIT, the HCTL-1100's limit flag, has triggered. `expected_event` is for the message."""
     if port.is_limited():
         raise RunTimeout(
             f"axis {port.axis.name}: LIMIT before {expected_event}, at {port.read_position()} counts; it is in Init/Idle now."
@@ -168,7 +168,7 @@ def _check_limit(port: ChipPort, expected_event: str) -> None:
 
 
 def hold_once_at_rest(port: ChipPort) -> None:
-    """Switch to position control as soon as the command position is at rest."""
+    """Switch the HCTL-1100 to position control as soon as its command position is at rest."""
     before = port.read_command_position() - 1
     while before != (now := port.read_command_position()):
         before = now
@@ -228,7 +228,7 @@ def _find_index_pulse(port: ChipPort, direction: int, turn: int) -> int:
 
 
 def subtract_origin(port: ChipPort, origin: int) -> None:
-    """Subtract `origin` from the actual position, counts, and hold the axis where it is.
+    """Subtract `origin`, counts, from the HCTL-1100's actual position, and hold the axis where it is.
 
     The chip allows this only in Init/Idle, so the motor is off for a few bus cycles.
     """

@@ -30,7 +30,7 @@ SPEED_SAMPLES = 3  # samples: positions are whole counts, and a slow profile mov
 
 @dataclass(frozen=True)
 class FilterTuning:
-    """Filter D(z) = K/4 (z - A/256) / (z + B/256) and sample timer T. The defaults are the values after a reset.
+    """Tuning of the HCTL-1100: filter D(z) = K/4 (z - A/256) / (z + B/256) and sample timer T. Defaults: values after a reset.
 
     Attributes:
         gain: K.
@@ -47,7 +47,7 @@ class FilterTuning:
 
 @dataclass(frozen=True)
 class ServoMoveReport:
-    """Report of a position step or a trapezoid.
+    """Report of a position step or a trapezoid of a servo axis.
 
     Attributes:
         axis: Name of the axis.
@@ -73,7 +73,7 @@ class ServoMoveReport:
 
     @property
     def ok(self) -> bool:
-        """True if the axis is within the deadband of its command."""
+        """True if the servo axis is within the deadband of its command position."""
         return not self.limited and abs(self.error) <= self.deadband
 
     def __str__(self) -> str:
@@ -86,7 +86,7 @@ class ServoMoveReport:
 
 @dataclass(frozen=True)
 class VelocityReport:
-    """Report of a run in one of the two velocity modes.
+    """Report of a run of a servo axis in one of the two velocity modes.
 
     Attributes:
         axis: Name of the axis.
@@ -133,7 +133,7 @@ def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> ChipPort:
 
 
 def load_filter(port: ChipPort, tuning: FilterTuning) -> None:
-    """Load the filter and T. Raises ArgumentError for values that do not fit their registers."""
+    """Load the HCTL-1100's filter and sample timer T. Raises ArgumentError for values that do not fit their registers."""
     port.write_numbers(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
 
 
@@ -240,7 +240,7 @@ def brake_trapezoid(port: ChipPort) -> None:
 
 
 def wait_for_profile_end(port: ChipPort, timeout: float) -> None:
-    """Wait until the profile has ended or LIMIT has stopped it.
+    """Wait until the trapezoidal profile has ended or LIMIT has stopped it.
 
     Args:
         port: Port of the axis.
@@ -312,7 +312,7 @@ def run_in_proportional_velocity_mode(port: ChipPort, rate: float, seconds: floa
     port.set_control_mode("proportional velocity")
 
     def turn(value: int) -> None:
-        """Write the command velocity, counts per sample."""
+        """Write the command velocity of the motor, counts per sample."""
         port.wait_for_safe_part("proportional velocity")
         port.write_numbers(proportional_velocity=value)
 
@@ -415,7 +415,7 @@ def convert_acceleration_to_register(port: ChipPort, acceleration: float) -> int
 
 
 def _round_to_register(port: ChipPort, name: str, requested: float, scale: float, quantity: str, unit: str) -> int:
-    """Return `requested` times `scale`, rounded. Raises ArgumentError if the register cannot hold it."""
+    """Return `requested` times `scale`, rounded to the integer for a register. Raises ArgumentError if it cannot hold it."""
     rate = requested * scale
     number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
     if value == 0 or not number.minimum <= value <= number.maximum:

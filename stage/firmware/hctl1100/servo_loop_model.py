@@ -34,7 +34,7 @@ CANDIDATE_ZEROS = range(64, 256)
 
 @dataclass(frozen=True)
 class ServoLoop:
-    """Plant and filter of a servo axis.
+    """Model of a servo axis: its plant (motor, load and encoder) and the filter of its HCTL-1100.
 
     Attributes:
         gain: Speed per unit of motor command, counts/s, without friction.
@@ -70,7 +70,7 @@ class ServoLoop:
 
     @property
     def sample(self) -> float:
-        """Time of a sample, s."""
+        """Sample time of the HCTL-1100, s."""
         return 16 * (self.tuning.timer + 1) / self.clock_hz
 
     @property
@@ -83,13 +83,13 @@ class ServoLoop:
 
     @property
     def filter(self) -> tuple[np.ndarray, np.ndarray]:
-        """Transfer function D(z) from counts to motor command."""
+        """Transfer function D(z) of the HCTL-1100's filter, from counts to motor command."""
         t = self.tuning
         return t.gain / 4 * np.array([1.0, -t.zero / 256]), np.array([1.0, t.pole / 256])
 
     @property
     def poles(self) -> np.ndarray:
-        """Poles of the closed loop, in z."""
+        """Poles of the closed servo loop, in z."""
         return np.roots(self._compute_characteristic_polynomial())
 
     def _compute_characteristic_polynomial(self) -> np.ndarray:

@@ -86,7 +86,7 @@ class ChipPort:
         self.chip.write(0, (self.bit << 8 if c.axes else 0) | c.code)
 
     def write_parameters(self, **values: int) -> None:
-        """Write parameters and modes by name: SV, DV, TP, H1M, IPM ...
+        """Write parameters and mode registers of a NOVA chip by name: SV, DV, TP, H1M, IPM ...
 
         Raises:
             ArgumentError: A name or a value is wrong; no bus cycle has been made.
@@ -106,7 +106,7 @@ class ChipPort:
             self.chip.write(int(name[2]), value)
 
     def set_mode_bits(self, name: str, bits: int, on: bool = True) -> None:
-        """Set or clear bits of a mode word. The other bits keep the values that this port has written before.
+        """Set or clear bits of a mode word (WR1 to WR3). The other bits keep the values that this port has written before.
 
         Args:
             name: Name of the word.
@@ -135,7 +135,7 @@ class ChipPort:
         return self.read_value("CV")
 
     def is_driving(self) -> bool:
-        """Read n-DRV: whether the axis drives."""
+        """Read the status bit n-DRV of the NOVA chip: whether the axis drives."""
         return self.chip.busy(self.axis.chip_axis)
 
     def read_error_names(self) -> tuple[str, ...]:
@@ -157,7 +157,7 @@ class ChipPort:
     def wait_until_stopped(
         self, timeout: float, routine: Callable[[], bool] | None = None, poll: float = POLL_INTERVAL_S
     ) -> bool:
-        """Wait for n-DRV = 0.
+        """Wait until the axis of the NOVA chip no longer drives (n-DRV = 0).
 
         Args:
             timeout: Simulated seconds to wait.

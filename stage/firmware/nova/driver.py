@@ -67,7 +67,7 @@ class NovaPattern(move_plot_signals.OperationPattern):
 
 
 class NovaDriver(Driver):
-    """Base class of the family's drivers.
+    """Base class of the host drivers of NOVA chips.
 
     Attributes:
         SPEEDS: Names of the registers of initial speed, drive speed and acceleration.
@@ -124,7 +124,7 @@ class NovaDriver(Driver):
         self.port.write_command(self.RUN[direction < 0])
 
     def slow_down(self) -> None:
-        """Command a decelerating stop, and do not wait."""
+        """Command a decelerating stop of the axis, and do not wait for its end."""
         self.port.write_command(self.SLOW_DOWN)
 
     def halt(self, at_once: bool = False) -> None:
@@ -277,7 +277,7 @@ class NovaDriver(Driver):
         return program.write(self.index, 0, (self.bit << 8 if c.axes else 0) | c.code)
 
     def add_register_write(self, program: OperationsType, name: str, value: int) -> OperationsType:
-        """Add the write of a parameter or mode of this axis, or of the chip.
+        """Add the write of a parameter or mode register, of this axis or of the whole chip, to a program.
 
         Args:
             program: Program, or operations that are done at once.
@@ -287,7 +287,7 @@ class NovaDriver(Driver):
         return program.register(self.index, self.chip, name, value, self.axis.chip_axis)
 
     def add_mode_words(self, program: OperationsType, **words: int) -> OperationsType:
-        """Add the writes of WR1 to WR3 of this axis.
+        """Add the writes of the mode words WR1 to WR3 of this axis to a program.
 
         Args:
             program: Program, or operations that are done at once.
@@ -313,7 +313,7 @@ class NovaDriver(Driver):
 
     @abstractmethod
     def add_drive(self, program: OperationsType, pulses: int) -> OperationsType:
-        """Add the pulses and the start of a fixed-pulse drive.
+        """Add the pulses and the start of a fixed-pulse drive to a program.
 
         Args:
             program: Program, or operations that are done at once.
@@ -384,7 +384,7 @@ class NovaDriver(Driver):
         rest_s: float,
         direction: int = -1,
     ) -> list[int]:
-        """Add a search for ORG.
+        """Add a search for ORG, the origin switch, to a program.
 
         Args:
             program: Program, or operations that are done at once.
@@ -401,7 +401,7 @@ class NovaDriver(Driver):
 
     @abstractmethod
     def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
-        """Add the reads of errors and of the levels of STOP1 and STOP2.
+        """Add the reads of the errors and of the levels of STOP1 and STOP2 to a program.
 
         Args:
             program: Program that gets the reads.
@@ -420,4 +420,4 @@ class NovaDriver(Driver):
 
     @abstractmethod
     def get_search_ranges(self) -> dict[str, tuple[int, int]]:
-        """Return the ranges of the choices of a home search by name, except the speeds and `leave`."""
+        """Return the ranges of the choices (parameters) of a home search by name, except the speeds and `leave`."""

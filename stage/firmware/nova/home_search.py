@@ -148,7 +148,7 @@ def _stop_at_limit(port: ChipPort, direction: int) -> tuple[str, ...]:
 def _poll_home_states(
     ports: list[ChipPort], begin: float, timeout: float, at_limit: Callable[[ChipPort], None] | None
 ) -> list[tuple[tuple[float, int], ...]]:
-    """Poll HSST until it is 0 on all axes.
+    """Poll HSST, the state of the home search, until it is 0 on all axes.
 
     Args:
         ports: Ports of the axes.

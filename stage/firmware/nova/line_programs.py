@@ -22,7 +22,7 @@ MAX_SPEED = 8000  # of SV, V
 
 
 class Ramps(NamedTuple):
-    """Ramps of the axes; all arrays have the shape (stages, axes).
+    """Ramps of the axes of straight lines; all arrays have the shape (stages, axes).
 
     Attributes:
         multiple: Multiple 8,000,000 / R.
@@ -40,7 +40,7 @@ class Ramps(NamedTuple):
 
 
 class NovaLinePrograms(LinePrograms):
-    """Base class of both kinds of line programs."""
+    """Base class of both kinds of line programs for NOVA chips: by interpolation, and by ranges."""
 
     def check_pulses(self, driver: NovaDriver, pulses: int) -> None:
         """Check that the pulses fit the register of the finish point.
@@ -55,7 +55,7 @@ class NovaLinePrograms(LinePrograms):
         driver.map.check_value(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
 
     def _add_register_column(self, program: Program, driver: NovaDriver, name: str, column: int) -> None:
-        """Add the write of a register whose value is a column.
+        """Add the write of a register whose value comes from a column of the register array to a program.
 
         Args:
             program: Template of the programs.
@@ -113,7 +113,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
         return np.array(rows, np.int64)
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Multiply the registers by factors from 1/2 to 2.
+        """Multiply the registers of the longest axis by factors from 1/2 to 2.
 
         The chip keeps the axes on the line with any registers, so a correction moves no axis along the line.
         """
@@ -122,7 +122,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
         return rows
 
     def compute_line_errors(self, moves: LineMoves) -> np.ndarray:
-        """Return zeros, because the chip interpolates."""
+        """Return zeros: a chip that interpolates keeps its axes on the straight line."""
         return np.zeros((*moves.distances.shape, 4))
 
     def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
@@ -230,7 +230,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         return Ramps(m, low, high, ramp, 0.5 * (high - low) * ramp)
 
     def _limit_initial_speed(self, registers: np.ndarray) -> np.ndarray:
-        """Return the registers with SV no higher than V."""
+        """Return the registers with an initial speed SV no higher than the drive speed V."""
         registers[..., 1] = np.minimum(registers[..., 1], registers[..., 2])
         return registers
 

@@ -68,7 +68,7 @@ class FirstGenerationDriver(NovaDriver):
             )  # what ended its last drive: a limit, where ORG is stuck
 
     def _wait_for_search(self, timeout: float) -> bool:
-        """Wait until the search is over, and return whether an end limit has ended it.
+        """Wait until the home search is over, and return whether an end limit has ended it.
 
         If the end limit comes before ORG, the chip searches ORG on the way back. If ORG ends before the limit does, the chip finds
         no edge there and goes on forever, so the driver stops it.
@@ -76,7 +76,7 @@ class FirstGenerationDriver(NovaDriver):
         back: list[bool] = []
 
         def stop_at_limit() -> None:
-            """Stop the axis if the chip searches back from an end limit."""
+            """Stop the axis if the NOVA chip searches back for home from an end limit."""
             if not back and self.port.read_status_register(2) & HMST.mask == HMST_SEARCHES_BACK:
                 back.append(True)
                 self.port.write_command(self.STOP)
@@ -101,7 +101,7 @@ class FirstGenerationDriver(NovaDriver):
         return self.add_register_write(self.add_register_write(program, "R", RANGE // SPEED_MULTIPLE), "AO", 0)
 
     def _compute_wr1(self, *bit_names: str) -> int:
-        """Return WR1 with the logic of the sensors and the named bits."""
+        """Return a value of the mode word WR1 with the logic of the sensors and the named bits."""
         return self.get_mask("WR1", *bit_names) | compute_logic_bits(self.axis, "WR1")
 
     def add_drive(self, program: OperationsType, pulses: int) -> OperationsType:
@@ -182,7 +182,7 @@ class FirstGenerationDriver(NovaDriver):
         return self._add_stop_wait(program, timeout_s, rest_s)
 
     def _add_search_start(self, program: Operations, index: bool, direction: int, filter_code: int) -> None:
-        """Add the start of the automatic home search.
+        """Add the start of the automatic home search to a program.
 
         Args:
             program: Program, or operations that are done at once.

@@ -98,7 +98,7 @@ PathSegment = LineSegment | ArcSegment | HelixSegment
 
 @dataclass(frozen=True)
 class PathReport:
-    """Report of a path.
+    """Report of a path that axes of an MCX514 have followed.
 
     Attributes:
         seconds: Time from the first segment's command to the end.
@@ -114,7 +114,7 @@ class PathReport:
 
     @property
     def ok(self) -> bool:
-        """Whether no error bit is set."""
+        """Whether no error bit of the MCX514 is set after the path."""
         return not any(self.errors.values())
 
     def __str__(self) -> str:
@@ -152,7 +152,7 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
     begin = main.axis.time
 
     def wait_while(bits: int, value: int) -> int:
-        """Poll RR0 while the chip drives and the bits `bits` of RR0 equal `value`; return the last RR0."""
+        """Poll RR0 while the MCX514 drives and the bits `bits` of RR0 equal `value`; return the last RR0."""
         while (status := main.chip.read(0)) & DRIVING and status & bits == value:
             if not main.axis.time - begin <= timeout:
                 stop_axes(ports)
@@ -179,7 +179,7 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
 
 
 def _write_path_modes(ports: list[ChipPort], speed: PathSpeed) -> None:
-    """Write the modes of the axes, the speeds of the main one, and which axes take part."""
+    """Write the modes of a path's axes, the speeds of the main one, and which axes take part."""
     ports[0].write_parameters(
         SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {})
     )

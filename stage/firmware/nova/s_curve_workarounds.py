@@ -27,7 +27,7 @@ S_CURVE = MAP.mask("WR3", "SACC")
 
 
 def open_port(axis: Axis) -> ChipPort:
-    """Open the port of an axis whose chip can have the failure. Raises ArgumentError for another chip."""
+    """Open the port of an axis whose chip can have NOVA's S-curve failure. Raises ArgumentError for another chip."""
     if not isinstance(getattr(axis, "chip", None), (MCX304, MCX302, MCX312)):
         raise ArgumentError(f"{axis!r} has no MCX304, MCX302 or MCX312, and no other chip has this failure.")
     return ChipPort(axis)
@@ -47,7 +47,7 @@ class DecelerationFlag:
         port.set_mode_bits("WR1", C_END_ENABLE)
 
     def interrupt(self) -> None:
-        """Handle the interrupt at the end of constant speed: prohibit 26h and disable further interrupts."""
+        """Handle the interrupt at the end of constant speed: prohibit command 26h (stop) and disable further interrupts."""
         if self.port.read_status_register(3) & C_END:
             self.prohibits = True
             self.port.set_mode_bits("WR1", C_END_ENABLE, False)
@@ -129,7 +129,7 @@ def handle_limit_interrupt(port: ChipPort) -> bool:
 
 
 def handle_limit_timer(port: ChipPort) -> bool:
-    """Handle the timer interrupt of case 2, (2).
+    """Handle the timer interrupt of case 2, (2), of NOVA's notice about S-curves.
 
     "always read out status of progress directional hardware limit (RR1/D12, D13) with timer interruption. If limit signal becomes
     active, read out bit status of ASND (D2), CNST (D3) and DSND (D4) in RR1 resister and execute sudden stop command (27h) one
@@ -146,7 +146,7 @@ def handle_limit_timer(port: ChipPort) -> bool:
 
 
 def start_within_limits(port: ChipPort, pulses: int, low: int, high: int) -> bool:
-    """Start a drive unless its target is beyond a software limit (case 3).
+    """Start a drive unless its target is beyond a software limit: case 3 of NOVA's notice.
 
     "If target position is over value of software limit, don't drive to avoid the trouble."
 
@@ -178,7 +178,10 @@ def handle_stop_signal_timer(port: ChipPort) -> bool:
 
 
 def _end_runaway(port: ChipPort, causes: int) -> bool:
-    """Write 27h if a cause of a stop is set and the axis drives with ASND = CNST = DSND = 0; return whether it was written."""
+    """Write command 27h (instant stop) if a cause of a stop is set and the axis drives with ASND = CNST = DSND = 0.
+
+    Return if so.
+    """
     status = port.read_status_register(1)
     if not status & causes or status & PHASES or not port.is_driving():
         return False

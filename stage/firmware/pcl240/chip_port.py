@@ -201,7 +201,7 @@ class ChipPort:
         self._output = OUTPUT
 
     def write_command(self, value: int) -> None:
-        """Write the command buffer."""
+        """Write a byte to the command buffer, address 0 of the PCL-240."""
         if value & bits.GROUP == OUTPUT:
             self._output = value
         self._chip.write(0, value)
@@ -211,7 +211,7 @@ class ChipPort:
         self.write_command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:
-        """Select a register and write its bytes.
+        """Select a register of the PCL-240 and write its bytes.
 
         Args:
             name: Name of the register.
@@ -224,18 +224,18 @@ class ChipPort:
             self._chip.write(*cycle)
 
     def write_registers(self, **values: int) -> None:
-        """Write registers by name in the order of the arguments, after a check of all values."""
+        """Write registers of the PCL-240 by name in the order of the arguments, after a check of all values."""
         for name, value in values.items():
             self._chip.MAP.check_value(name, value)
         for name, value in values.items():
             self.write_register(name, value)
 
     def read_status(self) -> Status:
-        """Read the status byte."""
+        """Read the status byte of the PCL-240 by one bus cycle."""
         return _READ[self._chip.read(0)]
 
     def read_counter(self) -> int:
-        """Read all bytes of R0 from high to low, and repeat the reads until they agree (data sheet Q & A).
+        """Read all bytes of R0, the down counter, from high to low, and repeat the reads until they agree (data sheet Q & A).
 
         Raises:
             StageError: The bytes never agree, because the bus is too slow for the pulse rate.
@@ -275,7 +275,7 @@ class ChipPort:
         return high << 16 | middle << 8 | low
 
     def read_position(self) -> int:
-        """Read R10 of MK and MS: signed pulses since the last write to it. An origin return writes 0."""
+        """Read R10, the position counter of MK and MS: signed pulses since the last write to it. An origin return writes 0."""
         raw = self.read_register("R10")
         return raw - (1 << 24) if raw & 1 << 23 else raw
 
@@ -301,7 +301,7 @@ class ChipPort:
         poll: float = FAST_POLL_S,
         expected_event: str = "a change",
     ) -> Status:
-        """Poll until a test of the status is met.
+        """Poll the PCL-240 until a test of its status is met.
 
         Args:
             condition: Function of the status that returns whether the test is met.

@@ -61,7 +61,7 @@ class Pcl240Driver(Driver):
 
     @property
     def position_counter(self) -> str:
-        """R10 of an MK or MS; the K has none."""
+        """R10, the position counter of an MK or MS; "" for the K, which has none."""
         return "R10" if self.chip.EXTENDED else ""
 
     def peek_position_counter(self) -> int | None:
@@ -74,7 +74,7 @@ class Pcl240Driver(Driver):
         return str(self.build_profile(speeds))
 
     def build_profile(self, speeds: Speeds) -> Profile:
-        """Build the profile of these speeds: FH1 is the drive speed, FH2 the second drive speed.
+        """Build the speed profile of these speeds: FH1 is the drive speed, FH2 the second drive speed.
 
         Without a second drive speed, FH2 is the drive speed, too.
         """

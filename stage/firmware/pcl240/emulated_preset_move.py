@@ -16,7 +16,7 @@ MAX_CLOCKS = 1 << 44
 
 
 def trace_row(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = False) -> np.ndarray:
-    """Run the preset move of a row on an emulated chip.
+    """Run the preset move that a row of registers describes on an emulated chip.
 
     Args:
         row: Registers of the move.
@@ -46,7 +46,7 @@ def compute_ramp_down_offset(row: np.ndarray, chip: type[PCL240]) -> int:
 
 
 def _start_row_on_chip(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
-    """Return a new chip that has started the preset move of a row, but with R6 = `r6`."""
+    """Return a new chip that has started the preset move of a row of registers, but with R6 = `r6`."""
     emulated = chip()
     for name, value in zip(ROW_REGISTERS, [*row[:6].tolist(), r6, *row[7:].tolist()], strict=False):
         for cycle in emulated.register_cycles(name, value):

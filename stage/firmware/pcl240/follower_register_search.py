@@ -77,20 +77,20 @@ def _widen_error_range(demanded, row, motion, clock_hz, lead, end, low_error, hi
 
 @hot
 def _compute_follower_score(low_error, high_error, rate_share, penalty):
-    """Return the score of a follower: about its largest distance from the line, plus a penalty. Smaller is better."""
+    """Return the score of a follower of a line: about its largest distance from the line, plus a penalty. Smaller is better."""
     return max(1.0 - low_error, high_error + rate_share) + SPREAD_WEIGHT * abs(high_error - low_error) + penalty
 
 
 @hot
 def _copy_row(source, target):
-    """Copy the registers of one row into another."""
+    """Copy the registers of one row into another row."""
     for k in range(len(target)):
         target[k] = source[k]
 
 
 @hot
 def _insert_candidate(scores, candidates, score, row):
-    """Insert `row` into `candidates`, best first, if its score is better than that of the last one."""
+    """Insert a row of registers into `candidates`, best first, if its score is better than that of the last one."""
     k = len(scores) - 1
     if score >= scores[k]:
         return
@@ -125,7 +125,7 @@ def _set_demanded_point(leader, leader_motion, leader_clock_hz, rate_share, time
 
 @hot
 def _fill_demanded_ramp_up(leader, leader_motion, leader_clock_hz, rate_share, out):
-    """Fill `out` with the leader's ramp-up, see `_fill_demanded_ramp`."""
+    """Fill `out` with points of the leader's ramp up that the follower has to match, see `_fill_demanded_ramp`."""
     _fill_demanded_ramp(
         leader, leader_motion, leader_clock_hz, rate_share, 0.0, compute_ramp_ticks(leader, leader[4]), out
     )
@@ -133,7 +133,7 @@ def _fill_demanded_ramp_up(leader, leader_motion, leader_clock_hz, rate_share, o
 
 @hot
 def _fill_demanded_ramp_down(leader, leader_motion, leader_clock_hz, rate_share, out):
-    """Fill `out` with the leader's ramp-down, see `_fill_demanded_ramp`."""
+    """Fill `out` with points of the leader's ramp down that the follower has to match, see `_fill_demanded_ramp`."""
     _fill_demanded_ramp(
         leader,
         leader_motion,
@@ -193,7 +193,7 @@ def _widen_error_range_after_ramp_down(
 def fit_accelerations(
     leader, leader_clock_hz, pulses, clock_hz, lead, curve_share, max_rate, only_r7, scores, candidates, work
 ):
-    """Choose R1, R2, R4 and R7 of a follower.
+    """Choose R1, R2, R4 and R7 of a follower, so that its ramp up matches that of the leader of a line.
 
     For every multiplier, R2 is the nearest FH, R4 follows from the slope, and R1 from the pulses lost in the ramp.
 
@@ -378,7 +378,7 @@ def fit_decelerations(
 
 @exported("f8", ROW_TYPE, "i8", ROW_TYPE, "i8", "f8", WORK_DTYPE)
 def estimate_follower_error(leader, leader_clock_hz, row, clock_hz, lead, work):
-    """Estimate the largest distance of a follower from the line, in its pulses.
+    """Estimate the largest distance of a follower from the straight line, in the follower's pulses.
 
     Args:
         leader: Row of the leader.

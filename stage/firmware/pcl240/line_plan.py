@@ -47,7 +47,7 @@ REFUSED_DEVIATION_PULSES = 5.0  # pulses: refused where shorter ramps would mend
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """Plan of one axis.
+    """Plan of one axis of a line: its registers, and what follows from them.
 
     Attributes:
         distance: Signed distance, pulses.
@@ -114,7 +114,7 @@ class AxisPlan:
 
     @property
     def row(self) -> np.ndarray:
-        """Row of registers for follower_register_search.py."""
+        """Row of the axis' registers, as follower_register_search.py takes it."""
         return np.array([*(self.registers | {"R6": self.down_point}).values()], np.int64)
 
 
@@ -146,7 +146,7 @@ class Plan:
 
     @property
     def distances(self) -> dict[str, int]:
-        """Signed pulses of each axis."""
+        """Signed pulses of each axis of the line."""
         return {n: a.distance for n, a in self.axes.items()}
 
     @property
@@ -353,7 +353,7 @@ def _shorten_to_length(length: int, rate: float, fl: float, accel: float, decel:
 
 
 def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: float, clocks_hz: dict) -> None:
-    """Raise ArgumentError for rates that no registers of an axis can make."""
+    """Raise ArgumentError for rates of a line that no registers of one of its axes can make."""
     max_rate = clocks_hz[leader] * MAX_SPEED / (8192 * MIN_R7)
     if max(rate, move.fh) > max_rate:
         raise ArgumentError(
@@ -410,7 +410,7 @@ def _choose_by_emulation(
 
 
 def _evaluate_rows(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
-    """Evaluate rows of registers, and return them as a plan.
+    """Evaluate rows of registers for the axes of a line, and return them as a plan.
 
     Args:
         distances: Signed pulses of each axis.
@@ -458,7 +458,7 @@ def _evaluate_rows(distances: dict[str, int], rows: dict, kinds: dict, automatic
 
 
 def _order_starts(distances: dict[str, int]) -> list[str]:
-    """Return the names in the order of the start commands, the longest axis last."""
+    """Return the names of a line's axes in the order of their start commands, the longest axis last."""
     return sorted(distances, key=lambda n: abs(distances[n]))
 
 
@@ -468,7 +468,7 @@ def _compute_start_leads(order: list[str], bus_delay: float) -> dict[str, float]
 
 
 def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> list[str]:
-    """List notes about requests that registers cannot make exactly. Raises ArgumentError if the axes then leave the line."""
+    """List notes about requests for a line that registers cannot make exactly. Raises ArgumentError if the axes leave the line."""
     notes = []
     for name, a in axes.items():
         own = abs(a.distance) / move.length

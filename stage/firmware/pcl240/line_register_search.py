@@ -34,7 +34,7 @@ MAX_SPEED = _LEGAL["R2"][1]
 
 
 class RegisterRanges(NamedTuple):
-    """Ranges of a chip's registers.
+    """Ranges of the registers of a PCL-240 chip.
 
     Attributes:
         rate: Largest R4 and R5.
@@ -48,7 +48,7 @@ class RegisterRanges(NamedTuple):
 
     @classmethod
     def from_chip(cls, chip: type[PCL240], automatic: bool) -> RegisterRanges:
-        """Return the ranges of a chip.
+        """Return the ranges of the registers of a PCL-240 chip.
 
         Args:
             chip: Class of the chip.
@@ -59,7 +59,7 @@ class RegisterRanges(NamedTuple):
 
 
 class LeaderMove(NamedTuple):
-    """Requested move of the longest axis.
+    """Requested move of the leader, the longest axis of a line.
 
     Attributes:
         length: Pulses.
@@ -88,7 +88,7 @@ AS_LEADER = -1
 
 
 class Follower(NamedTuple):
-    """Requested move of an axis other than the longest one.
+    """Requested move of a follower, an axis of a line other than the longest one.
 
     Attributes:
         pulses: Pulses, unsigned.
@@ -169,7 +169,7 @@ def search_registers(
 def _list_leaders(
     move: LeaderMove, clock_hz: int, ranges: RegisterRanges, followers: Mapping[str, Follower]
 ) -> list[np.ndarray]:
-    """List rows of registers for the longest axis, with R6 = 0, the most promising first.
+    """List rows of registers for the leader (longest axis) of a line, with R6 = 0, the most promising first.
 
     R7 and FH may be any that make the rate within 0.2 %. The order depends on how well the followers can make their shares of the
     rate.

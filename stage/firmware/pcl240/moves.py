@@ -118,7 +118,7 @@ def start_preset(port: ChipPort, profile: Profile, pulses: int) -> None:
 
 
 def encode_offset(profile: Profile, offset: int) -> int:
-    """Encode the signed offset of the automatic ramp-down point, in pulses, as R6.
+    """Encode the signed offset of the automatic ramp-down point, in pulses, as the value of R6.
 
     Raises:
         ArgumentError: The chip has no such point, or R6 does not hold the offset.
@@ -343,7 +343,7 @@ def write_move_setup(port: ChipPort, profile: Profile, control: int, output: int
 
 
 def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
-    """Return the user's profile if it fits the axis' chip and clock; for None the default profile.
+    """Return the user's speed profile if it fits the axis' chip and clock; for None the default profile.
 
     Raises:
         ArgumentError: The profile does not fit.
@@ -375,12 +375,12 @@ def check_pulses_and_drop_sign(pulses: int) -> int:
 
 
 def encode_direction(direction: int) -> int:
-    """Return the direction bit of the control command for a direction or signed pulses."""
+    """Return the direction bit of the PCL-240's control mode command for a direction or signed pulses."""
     return chip_port.MINUS if direction < 0 else 0
 
 
 def _encode_start(high_speed: bool, fh2: bool, interrupt: bool) -> int:
-    """Return the start command."""
+    """Return the start command of the PCL-240 for a speed, with or without an interrupt at the stop."""
     start = (chip_port.RAMP if high_speed else chip_port.START)["FH2" if fh2 else "FH1"]
     return start | (chip_port.INTERRUPT if interrupt else 0)
 

@@ -121,7 +121,7 @@ def _run_to_origin(observer: Pcl240Observer, direction: int, high_speed: bool, t
 
 
 def _leave_origin(observer: Pcl240Observer, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
-    """Run in `direction` until ORG is released, stop, and move `back_off` pulses further, at FL.
+    """Run in `direction` until ORG is released, stop, and move `back_off` pulses further, at the low rate FL.
 
     Returns:
         "" if ORG is off afterwards; otherwise the end limit that stopped the axis, or "HOME" if ORG is still asserted.

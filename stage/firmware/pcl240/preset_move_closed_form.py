@@ -52,20 +52,20 @@ def _find_ticks_to_phase(target, unit, first, sign, max_steps):
 
 @hot
 def has_s_curve_ramps(row):
-    """Return whether the row's ramps are S-curves."""
+    """Return whether the ramps of a preset move, given by its row of registers, are S-curves."""
     return len(row) > 8 and not row[8] & LINEAR
 
 
 @hot
 def compute_twice_curved_end_steps(r14, steps):
-    """Return twice the speed steps of a curved end of a ramp of `steps`."""
+    """Return twice the number of speed steps in a curved end of an S-curve ramp of `steps` speed steps."""
     span = r14 & SPAN
     return steps if span == 0 or 2 * span > steps else 2 * span
 
 
 @hot
 def set_s_curve_registers(row, share):
-    """Set R14 and R15 of a row for ramps from R1 to R2, if the chip has these registers; without FH correction.
+    """Set R14 and R15 of a row for S-curve ramps from R1 to R2, if the chip has these registers; without FH correction.
 
     Args:
         row: Row of registers.
@@ -91,7 +91,7 @@ def compute_ramp_stretch(row):
 
 @hot
 def compute_ramp_ticks(row, rate_register):
-    """Return the ticks of a whole ramp. `rate_register` is its acceleration rate: the value of R4 or R5."""
+    """Return the ticks of a whole ramp of a preset move. `rate_register` is its acceleration rate: the value of R4 or R5."""
     steps = row[2] - row[1]
     return (
         0.5 * (steps + compute_twice_curved_end_steps(row[8], steps)) * rate_register
@@ -254,7 +254,7 @@ def compute_s_curve_phase(row, motion, ticks):
 
 @hot
 def compute_phase(row, motion, ticks):
-    """Return the phase of a move, the sum of the speeds over the ticks, `ticks` after its start; `ticks` may be a fraction."""
+    """Return the phase of a preset move, the sum of its speeds over the ticks, `ticks` after its start; a fraction is possible."""
     return (
         compute_s_curve_phase(row, motion, ticks)
         if has_s_curve_ramps(row)
@@ -264,13 +264,13 @@ def compute_phase(row, motion, ticks):
 
 @hot
 def count_pulses(row, motion, ticks):
-    """Return the number of pulses, as a fraction, that a move has made `ticks` after its start."""
+    """Return the number of pulses, as a fraction, that a preset move has made `ticks` reference clocks after its start."""
     return compute_phase(row, motion, max(ticks, 0.0)) / (8192.0 * row[7])
 
 
 @hot
 def find_first_pulse_tick(row, motion):
-    """Return the ticks to the first pulse. The ramp-down of `motion` may be NEVER_TICKS."""
+    """Return the ticks from the start of a preset move to its first pulse. The ramp-down of `motion` may be NEVER_TICKS."""
     m = 8192 * row[7]
     return (
         _find_tick_at_phase(row, motion, m, m / row[1])

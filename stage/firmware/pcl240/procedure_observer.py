@@ -35,7 +35,7 @@ class Pcl240Observer(move_report.ProcedureObserver):
         self.port = ChipPort(axis)
 
     def find_stop_reason(self) -> str:
-        """Return what ended the axis' last run, see `find_stop_reason`; UNKNOWN where no start has reached the chip."""
+        """Return what ended the axis' last run; UNKNOWN where no start command has reached the chip."""
         return find_stop_reason(self.journal) or UNKNOWN
 
     def read_residual(self) -> int:
@@ -96,7 +96,7 @@ def _decode_command(entry: Any) -> tuple[bool, bool]:
 
 
 def find_present_stop_cause(chip: Any) -> str:
-    """Return what stops a chip now, or keeps it from starting, apart from commands; "" for nothing.
+    """Return what stops a PCL-240 now, or keeps it from starting, apart from commands; "" for nothing.
 
     Args:
         chip: Record of the chip's state.

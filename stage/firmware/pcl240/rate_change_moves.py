@@ -101,7 +101,7 @@ def dual_rate_move(
 
 
 def _check_rates(rates: Sequence[str]) -> list[str]:
-    """Return the names of rates as a list. Raises ArgumentError for an empty sequence or an unknown name."""
+    """Return the names of rates (FL, FH1, FH2) as a list. Raises ArgumentError for an empty sequence or an unknown name."""
     for rate in rates:
         if rate not in chip_port.RAMP:
             raise ArgumentError(f"rate {rate!r}: a chip has FL, FH1 and FH2.")
@@ -111,7 +111,7 @@ def _check_rates(rates: Sequence[str]) -> list[str]:
 
 
 def _run_through_rates(observer: Pcl240Observer, rates: list[str], dwell: float) -> Status:
-    """Start at the first rate, change to each further rate, and return the last status. It may show that the axis has stopped."""
+    """Start a move at the first rate, change to each further rate, and return the last status, which may show a stop."""
     constant = rates[0] == "FL"
     observer.port.write_command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
     status = _wait_for_rate(observer.port)
@@ -230,7 +230,7 @@ def curved_ramp_move(
 
 
 def _wait_for_rate(port: ChipPort) -> Status:
-    """Wait until the selected rate is reached, or the axis has stopped."""
+    """Wait until the PCL-240 has reached the selected rate, or the axis has stopped."""
     return port.wait_until(lambda s: s.fkeep or not s.operating, MAX_RAMP_S, expected_event="the end of the ramp")
 
 
@@ -270,7 +270,7 @@ def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, 
 
 
 def _find_down_point(profile: Profile, speeds: list[int], count: int, dwell: float) -> int:
-    """Compute R6 for the last speed. Raises ArgumentError for a move that would end before this speed is reached."""
+    """Compute R6, the ramp-down point, for the last speed. Raises ArgumentError if the move ends before this speed is reached."""
     delay = POLL_DELAY_S * max(speeds) * profile.rate_per_speed_step * len(speeds)
     if len(speeds) > 1:
         _refuse_short_move(count, profile.compute_pulses_through(speeds, dwell) + delay)
@@ -278,7 +278,7 @@ def _find_down_point(profile: Profile, speeds: list[int], count: int, dwell: flo
 
 
 def _refuse_short_move(count: int, needed: float) -> None:
-    """Raise ArgumentError for fewer pulses than the rates need."""
+    """Raise ArgumentError for a move with fewer pulses than its rates need."""
     if count < needed + 5:
         raise ArgumentError(
             f"pulses={count}: these rates take at least {int(needed) + 6} pulses; give more, dwell less, or ask for fewer rates."
@@ -286,5 +286,5 @@ def _refuse_short_move(count: int, needed: float) -> None:
 
 
 def _replace_high_rates(profile: Profile, speed: int) -> Profile:
-    """Return the profile with one speed as both high rates."""
+    """Return the speed profile with one speed, in speed steps, as both high rates."""
     return replace(profile, R2=speed, R3=speed)

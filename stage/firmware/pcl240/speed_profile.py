@@ -322,7 +322,7 @@ class Profile:
         return replace(self, R4=r4, R5=r5, spans=spans)
 
     def for_chip(self, chip: type[PCL240]) -> Profile:
-        """Return the profile for another chip of the family.
+        """Return the profile with the registers of another chip of the PCL-240 family.
 
         Raises:
             ArgumentError: The profile does not fit the chip; the message names the register.
@@ -339,7 +339,7 @@ class Profile:
 
     @property
     def _up_span(self) -> int | None:
-        """Speed steps of each curved end of the ramp up; None for a linear ramp."""
+        """Number of speed steps in each curved end of an S-curve ramp up; None for a linear ramp."""
         return self.spans[0] if self.spans else None
 
     @property
@@ -368,19 +368,19 @@ class Profile:
         return self.R3 * self.rate_per_speed_step
 
     def get_high_speed(self, fh2: bool = False) -> int:
-        """Return the speed register's value of FH1, or FH2."""
+        """Return FH1 of the profile, or FH2, in speed steps: the value of its speed register."""
         return self.R3 if fh2 else self.R2
 
     def get_accel_time(self, fh2: bool = False) -> float:
-        """Return the time from FL to FH1, or FH2, s."""
+        """Return the duration of the ramp from FL to FH1, or to FH2, s."""
         return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R4, self.clock_hz, self._up_span)
 
     def get_decel_time(self, fh2: bool = False) -> float:
-        """Return the time from FH1, or FH2, to FL, s."""
+        """Return the duration of the ramp from FH1, or from FH2, to FL, s."""
         return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down_span)
 
     def compute_ramp_down_point(self, pulses: int, fh2: bool = False) -> int:
-        """Compute R6 for a preset move. Raises ArgumentError where R6 cannot hold it.
+        """Compute R6, the ramp-down point of a preset move. Raises ArgumentError where R6 cannot hold it.
 
         Args:
             pulses: Pulses of the move.

@@ -94,7 +94,7 @@ def synchronized_move(
 
 
 def _run_plan(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> SynchronizedReport:
-    """Write the registers, start the axes in the order of the plan, wait, and return the report."""
+    """Write the registers of a line's plan, start the axes in its order, wait for their end, and return the report."""
     watch = {n: Pcl240Observer(a, "synchronized move") for n, a in axes.items()}
     with LineObserver(watch, line_plan.distances) as line:
         for n, p in watch.items():
@@ -161,7 +161,7 @@ def _select_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
 
 
 def _check_same_chips(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
-    """Raise ArgumentError for a plan made for other chips or clocks than those of the axes."""
+    """Raise ArgumentError for a plan of a line that was made for other chips or clocks than those of the axes."""
     for n, a in line_plan.axes.items():
         if type(selected[n][0].chip) is not a.chip:
             raise ArgumentError(
@@ -190,7 +190,7 @@ def _find_clock_arguments(moving: Mapping[str, Axis]) -> dict[str, Any]:
 
 
 def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
-    """Raise ArgumentError for a plan whose followers would receive a clock of another R7 than the planned one."""
+    """Raise ArgumentError if the plan expects another R7 of the leader whose clock a follower's chip counts."""
     clocks = _find_clock_arguments({n: selected[n][0] for n in line_plan.axes})
     for n, a in line_plan.axes.items():
         leaders = [m for m in line_plan.axes if selected[m][0].chip is getattr(selected[n][0].chip, "syni", None)]

@@ -26,7 +26,7 @@ INLINED = ("_flag_edges",)
 
 
 class LaneChip(NamedTuple):
-    """Chip of a lane, which device code uses in place of a CHIP record.
+    """Chip of a lane, a tuple that device code uses in place of a CHIP record.
 
     Attributes:
         state: STATE record of the chip.
@@ -172,7 +172,7 @@ class DeviceModules:
         self._modules[core_interface.__name__] = self._make_static_core_interface(family)
 
     def copy_module(self, name: str, replacements: Mapping[str, Any] | None = None) -> ModuleType:
-        """Copy a module: its functions become device functions. A second call returns the same copy.
+        """Copy a hot module for the GPU: its functions become device functions. A second call returns the same copy.
 
         Args:
             name: Full name of the module.

@@ -186,13 +186,13 @@ class GpuFleet(fleet.Fleet):
         return []
 
     def close(self) -> None:
-        """Free the CUDA graph."""
+        """Free the CUDA graph of the fleet."""
         self._graph = None
         self._operations = 0
 
     @property
     def _block_count(self) -> int:
-        """Number of CUDA blocks, each of one warp."""
+        """Number of CUDA blocks of the fleet's kernels, each of one warp (32 threads)."""
         return self._layout.count_threads(len(self)) // WARP
 
     def _advance_lanes(self) -> None:
@@ -202,7 +202,7 @@ class GpuFleet(fleet.Fleet):
         )
 
     def _start_hosts(self) -> None:
-        """Begin the program of every copy."""
+        """Begin the program of the host of every copy."""
         first, host = self._layout.find_host_words()
         rows = np.repeat(host[:, None], self._words.shape[1], axis=1)
         self._words[first:].copy_to_device(rows)

@@ -54,7 +54,7 @@ def store_records(records, words, row, thread):
 
 
 def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_index, now, stop):
-    """Run a chip and its switches from `now` to `stop` ns, within a window.
+    """Run the chip of a lane and its switches from `now` to `stop` ns, within a window (the time of a physics step).
 
     Args:
         chip: The lane's chip.
@@ -92,7 +92,7 @@ def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_
 
 
 def begin_operation(host, now, kind, first_argument):
-    """Begin an operation of a program at `now` ns: compute its end, and reset the extremes that it measures."""
+    """Begin an operation of a GPU copy's program at `now` ns: compute its end, and reset the extremes that it measures."""
     host.started, host.begin, host.left, host.poll, host.until = 1, now, first_argument, 0, now
     if kind in (WRITE, READ):
         host.until = now + BUS
@@ -103,7 +103,7 @@ def begin_operation(host, now, kind, first_argument):
 
 
 def end_operation(host):
-    """Proceed to the next operation of the program."""
+    """Proceed to the next operation of a GPU copy's program."""
     host.started = 0
     host.op += 1
 
@@ -128,13 +128,13 @@ def update_extremes(host, extremes, qpos, sites, bodies, copy, point):
 
 
 def measure_travel(host):
-    """Return the diagonal of the box around all positions of a measured point, pm."""
+    """Return the diagonal of the box around all positions of a copy's measured point, pm."""
     x, y, z = host.x1 - host.x0, host.y1 - host.y0, host.z1 - host.z0
     return int(math.sqrt(x * x + y * y + z * z) * 1e12) if x >= 0.0 else 0
 
 
 def begin_window(world, host, chip, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel):
-    """Begin the window after a physics step: predict the edges, and pass the shafts to the chips that count them."""
+    """Begin a lane's window after a physics step: predict the switch edges, and pass encoder shafts to chips that count them."""
     host.stepped = 0
     world.slice = 0
     world.start += clockwork.dt
@@ -188,13 +188,15 @@ def advance_lanes(
     words, rows, axis_numbers, places, tables, switch_tables, clockworks, ops, results, extremes,
     qpos, qvel, ctrl, sensordata, inertia, damping, core_loss, warmstart, sites, bodies, frozen_coordinates, playing,
 ):  # fmt: skip
-    """Advance every lane by a window. The kernel.
+    """Advance every lane (one chip of one copy of a stage) by one window, the chip time of a physics step.
+
+    This is the kernel of a GPU fleet.
 
     Args:
         words: Records of all lanes as words, see `LaneLayout`.
         rows: Row of each lane, see `LaneLayout`.
         axis_numbers: Number of each axis of a lane in the stage.
-        places: Places of axes and switches in the arrays of mujoco-warp.
+        places: Indices at which axes and switches stand in the arrays of mujoco-warp.
         tables: AXIS_TABLE rows of each lane.
         switch_tables: SWITCH_TABLE rows of each lane.
         clockworks: One CLOCKWORK.

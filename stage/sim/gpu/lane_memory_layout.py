@@ -61,7 +61,7 @@ class LaneLayout:
         self._set_tables(spans)
 
     def _set_tables(self, spans: list[list[tuple[int, int]]]) -> None:
-        """Set the tables that all copies share."""
+        """Set the tables that the lanes of all copies share."""
         state = self._state
         self.rows = np.zeros(self.lanes, LANE_ROW)
         self.axis_numbers = np.zeros((self.lanes, self.axes), np.int64)

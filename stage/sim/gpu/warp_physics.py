@@ -76,11 +76,11 @@ class WarpPhysics:
         self.stream = self.warp.Stream(self.warp.get_device())
 
     def step(self) -> None:
-        """Advance all copies by a physics step."""
+        """Advance all copies of the stage by a physics step on the GPU."""
         self._mujoco_warp.step(self._model, self.data)
 
     def run(self, work: Callable[[], None]) -> None:
-        """Call `work`, which enqueues work in the stream, and wait for the end of that work."""
+        """Call `work`, which enqueues work in the CUDA stream, and wait for the end of that work."""
         with self.warp.ScopedStream(self.stream):
             work()
         self.warp.synchronize_stream(self.stream)

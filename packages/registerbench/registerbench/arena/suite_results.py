@@ -41,7 +41,7 @@ class RunHeader:
 
     @property
     def kind(self) -> str:
-        """Kind of the suite: "diagnosis", or a task."""
+        """Kind of the suite that is played: "diagnosis", or a task of the benchmark."""
         return self.suite.partition(":")[0]
 
 
@@ -69,7 +69,7 @@ class GameResult:
 
     @property
     def valid_calls(self) -> int:
-        """Number of calls that were not refused."""
+        """Number of tool calls in the game that were not refused."""
         return sum(c["ok"] is True for c in self.calls)
 
 
@@ -98,17 +98,17 @@ class SuiteResult:
 
     @property
     def player(self) -> str:
-        """Name of the player."""
+        """Name of the player that has played the suite."""
         return self.head.player
 
     @property
     def tokens(self) -> int:
-        """Tokens in all games."""
+        """Number of tokens in all games, as the player states it."""
         return sum(r.tokens for r in self.games)
 
     @property
     def calls(self) -> int:
-        """Calls in all games."""
+        """Number of tool calls in all games."""
         return sum(len(r.calls) for r in self.games)
 
     def __str__(self) -> str:

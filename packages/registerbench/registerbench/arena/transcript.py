@@ -101,11 +101,11 @@ class TranscriptWriter:
         self._write({"game": result.game, "seed": result.seed}, *result.calls, end)
 
     def write_summary(self, result: SuiteResult) -> None:
-        """Write the last line."""
+        """Write the last line of the transcript: number of games, score, calls and tokens."""
         self._write(summarize_result(result))
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file of the transcript."""
         self._file.close()
 
     def __enter__(self) -> TranscriptWriter:
@@ -196,7 +196,7 @@ def read_transcript(path: str | os.PathLike) -> Transcript:
 
 
 def _format_reason(why: Exception) -> str:
-    """Return the reason for which a line cannot be parsed, in words."""
+    """Return the reason for which a line of a transcript cannot be parsed, in words."""
     text = str(why)[:200].rstrip(".")
     return text if isinstance(why, ValueError) else f"{type(why).__name__}: {text}"
 
@@ -216,7 +216,7 @@ def _parse_header(line: Any) -> RunHeader:
 
 
 def _parse_game(lines: list[dict[str, Any]], end: dict[str, Any]) -> GameResult:
-    """Parse the lines of a game and its last line. Raises ValueError, KeyError or TypeError."""
+    """Parse the lines of a game and its last line in a transcript. Raises ValueError, KeyError or TypeError."""
     first, *calls = lines
     for row in calls:
         _ = row["call"], row["arguments"], row["answer"]

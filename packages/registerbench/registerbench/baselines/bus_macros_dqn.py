@@ -24,7 +24,7 @@ class MaskedNetwork(QNetwork):
 
 
 class MaskedPolicy(DQNPolicy):
-    """DQN policy with a MaskedNetwork."""
+    """DQN policy whose network gives masked actions, which have no effect now, a value that is never the highest."""
 
     def make_q_net(self) -> QNetwork:
         args = self._update_features_extractor(self.net_args, features_extractor=None)
@@ -32,7 +32,7 @@ class MaskedPolicy(DQNPolicy):
 
 
 class MaskedDQN(DQN):
-    """Double DQN that explores only among unmasked actions.
+    """Double DQN that explores only among actions that the mask allows.
 
     The exploration rate falls from `first` to FINAL_RATE within EXPLORATION_STEPS steps after `level_start`. Double: the
     network chooses the best next action, and the target network estimates its value, which reduces overestimation.
@@ -80,7 +80,7 @@ class MaskedDQN(DQN):
 
 
 def make_dqn(envs: Any, gamma: float, seed: int) -> MaskedDQN:
-    """Make an untrained model.
+    """Make an untrained DQN model for BusMacros.
 
     Args:
         envs: Environments whose observations end with the mask.

@@ -165,10 +165,10 @@ class PolicyValidator:
         self.directions: list[str] = []
 
     def play(self, policy: MacroPolicy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Play an episode on each machine.
+        """Play an episode of BusMacros with a policy on each validation machine.
 
         Returns:
-            Successes, numbers of macros, and returns, (machines,) each.
+            Successes, numbers of macros (actions) in the episodes, and sums of rewards; arrays of shape (machines,).
         """
         n, envs = self.machines, self.envs.envs
         policy.axis_roles = AxisRoles([e.name for e in envs.observation_features], envs.single_action_space.n)

@@ -25,7 +25,7 @@ MAX_PAYLOAD_KG = 5.5  # heaviest payload of the split train, with the margin
 
 
 class OptunaPolicy:
-    """Policy that runs a study of Optuna in each episode."""
+    """Policy on FewShotTuning that runs a study of Optuna in each episode."""
 
     def __init__(self) -> None:
         optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -34,7 +34,7 @@ class OptunaPolicy:
         self.episode = 0
 
     def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:
-        """Make the sampler of a study."""
+        """Make the sampler of an episode's Optuna study."""
         raise NotImplementedError
 
     def reset(self, policy_context: Any) -> None:
@@ -61,14 +61,14 @@ class OptunaPolicy:
 
 
 class TpePolicy(OptunaPolicy):
-    """Policy with the tree-structured Parzen estimator."""
+    """Policy on FewShotTuning that samples by Optuna's tree-structured Parzen estimator."""
 
     def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.TPESampler(seed=seed, n_startup_trials=3)
 
 
 class CmaEsPolicy(OptunaPolicy):
-    """Policy with CMA-ES."""
+    """Policy on FewShotTuning that samples by Optuna's CMA-ES."""
 
     def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.CmaEsSampler(seed=seed, popsize=4, n_startup_trials=1)

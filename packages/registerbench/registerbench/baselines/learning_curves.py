@@ -47,7 +47,7 @@ OTHERS = {"formula": "-.", "scripted": "-.", "search": "--", "random": ":"}
 
 
 def learn_missing_runs(folder: Path, tasks: list[str], quick: bool) -> None:
-    """Train the runs of some tasks whose files do not exist yet.
+    """Train those runs of some tasks whose files do not exist yet.
 
     Args:
         folder: Folder of the files.
@@ -124,7 +124,7 @@ def collect_points(runs: dict[str, list[dict]], what: str = "return") -> tuple[n
 
 
 def interpolate_levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolate the curves of BusMacros; a run has a share of 0 before it reaches the level.
+    """Interpolate the learning curves of BusMacros; a run has a share of 0 before it reaches the level.
 
     Args:
         runs: Rows of each run.
@@ -138,7 +138,7 @@ def interpolate_levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndar
 
 
 def read_other_players(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
-    """Read the published scores of players that do not learn.
+    """Read the published scores of a task's players that do not learn.
 
     Args:
         task: Name of a card.

@@ -44,7 +44,7 @@ EXTRA_PAYLOADS_KG = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
 
 
 class TestContext(NamedTuple):
-    """Kind of moves in a test.
+    """Kind of moves in the test of an answer: their number, additional masses and distances.
 
     Attributes:
         moves: Number of moves.
@@ -69,7 +69,7 @@ TEST_CONTEXTS = {
 
 @dataclass(frozen=True)
 class Method:
-    """Search or learner that is compared.
+    """Search or learner whose answers the baseline comparison compares.
 
     Attributes:
         name: Name in the tables.
@@ -175,7 +175,7 @@ class MethodRun:
 
     @property
     def lucky_moves(self) -> int:
-        """Number of moves with a higher reward that are not the answer."""
+        """Number of moves of the search with a higher reward than the answer, which failed in the proof."""
         return list(self.proof_logs).index(self.answer) if self.answer is not None else len(self.proof_logs)
 
     @property
@@ -197,7 +197,7 @@ class MethodRun:
         return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
 
     def count_lost(self, context: str) -> int:
-        """Count the moves of the test that did not keep step.
+        """Count the moves of the test that lost steps or did not make all their pulses.
 
         Args:
             context: Name of the test context.
@@ -206,7 +206,7 @@ class MethodRun:
 
     @property
     def reward_excess(self) -> float:
-        """Mean reward of the proof minus that of the test, ms."""
+        """Mean reward of the moves of the proof minus that of the test's, in ms of move time: a reward of 1 stands for 1 s."""
         return (
             1e3 * float(np.mean(self.proof_logs[self.answer].reward)) - self.compute_mean("reward")
             if self.answer is not None
@@ -225,7 +225,7 @@ class MethodRun:
 
     @cached_property
     def table(self) -> pyarrow.Table:
-        """Moves of the run, in order."""
+        """Moves of the run, in order, as a table of PyArrow."""
         parts = [("search", "", None, self.search_log)]
         parts += [("proof", "", number, log) for number, log in self.proof_logs.items()]
         parts += [("test", context, self.answer, log) for context, log in self.test_logs.items()]
@@ -390,7 +390,7 @@ class MethodRuns:
         )
 
     def run_all(self, keep: Path | None) -> None:
-        """Make the missing runs.
+        """Make the runs of all methods that are missing.
 
         Args:
             keep: File to which all runs are written after each run, or None.

@@ -89,7 +89,7 @@ class MoveLog:
 
     @property
     def ranking(self) -> list[int]:
-        """Indices of the moves that kept step, the highest reward first."""
+        """Indices of the logged moves that kept step, the highest reward first."""
         return sorted(np.flatnonzero(self.in_step).tolist(), key=lambda k: -self.reward[k])
 
     def compute_curve(self) -> np.ndarray:
@@ -162,13 +162,13 @@ class MoveTuning:
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
 
     def restart(self) -> None:
-        """Empty the log, and restart the random draws with the same seed."""
+        """Empty the log of moves, and restart the random draws with the same seed."""
         self.log = MoveLog()
         self.observation, _ = self.env.reset(seed=self._seed)
 
     @property
     def moves_left(self) -> int:
-        """Number of moves left in the budget."""
+        """Number of moves that are left in the budget of the search."""
         return self.budget - len(self.log)
 
     def measure_rewards(self, choices: np.ndarray) -> np.ndarray:
@@ -238,7 +238,7 @@ def prove_rows(
     margin: float = 0.0,
     needed: int = 1,
 ) -> list[MoveLog]:
-    """Repeat moves with each row of registers, one row after the other, until `needed` rows hold.
+    """Repeat moves with each row of registers, one row after the other, until `needed` rows have kept step in all repeats.
 
     A row holds if it loses no step in `repeats` moves from different rotor angles, with up to `margin` kg more. All rows make the
     same moves; a row ends with its first lost step.
@@ -272,7 +272,7 @@ def prove_rows(
 
 
 def find_best_proof(proofs: Sequence[MoveLog]) -> int | None:
-    """Return the index of the row that holds with the highest mean reward in its proof; None if none holds."""
+    """Return the index of the row of registers that holds with the highest mean reward in its proof; None if none holds."""
     holding = [k for k, log in enumerate(proofs) if all(log.in_step)]
     return max(holding, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
 

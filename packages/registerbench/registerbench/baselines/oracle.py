@@ -56,7 +56,7 @@ class EpisodeSearch:
         return actions, bool(info.get("fault", 0))
 
     def play_candidates(self, seed: int, candidates: np.ndarray) -> np.ndarray:
-        """Return the sum of rewards of each try.
+        """Play the tries of an episode's actions, and return the sum of rewards of each try.
 
         Args:
             seed: Seed of the episode.
@@ -103,13 +103,13 @@ class EpisodeSearch:
         return best
 
     def close(self) -> None:
-        """Close the environments."""
+        """Close the environments in which the search plays."""
         self._env.close()
         self._envs.close()
 
 
 class BestActions:
-    """Policy that plays the actions found for each episode, in their order."""
+    """Policy that plays the best actions found for each episode, in their order."""
 
     def __init__(self, episodes: list[np.ndarray], steps: int):
         self._episodes, self._episode, self._step = episodes, -1, 0

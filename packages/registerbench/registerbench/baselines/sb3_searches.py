@@ -49,7 +49,7 @@ class MovesVecEnv(VecEnvAdapter):
 
 
 def search_by_ppo(moves: MoveTuning, seed: int = 0) -> None:
-    """Spend the budget on the choices of PPO.
+    """Spend the budget of moves on the choices of the learner PPO.
 
     Args:
         moves: Move that is tuned.
@@ -71,7 +71,7 @@ def search_by_ppo(moves: MoveTuning, seed: int = 0) -> None:
 
 
 def search_by_sac(moves: MoveTuning, seed: int = 0) -> None:
-    """Spend the budget on the choices of SAC.
+    """Spend the budget of moves on the choices of the learner SAC.
 
     Args:
         moves: Move that is tuned.

@@ -16,7 +16,7 @@ from registerbench.baselines.move_tuning import MoveTuning, run_command_line
 
 
 def search_randomly(moves: MoveTuning, seed: int = 0) -> None:
-    """Spend the budget on random choices.
+    """Spend the budget of moves on random choices of registers.
 
     Args:
         moves: Move that is tuned.
@@ -28,7 +28,7 @@ def search_randomly(moves: MoveTuning, seed: int = 0) -> None:
 
 
 def search_by_cma_es(moves: MoveTuning, seed: int = 0) -> None:
-    """Spend the budget on the choices of CMA-ES, a generation of `moves.lanes` at a time.
+    """Spend the budget of moves on the choices of CMA-ES, a generation of `moves.lanes` at a time.
 
     Args:
         moves: Move that is tuned.

@@ -64,13 +64,13 @@ def make_open_loop(loop: ServoLoop) -> Any:
 
 
 def compute_margins(loop: ServoLoop) -> LoopDesign:
-    """Compute the margins of a loop."""
+    """Compute the stability margins of a servo loop."""
     gain, phase, _, crossover = import_control().margin(make_open_loop(loop))
     return LoopDesign(loop.tuning, float(phase), float(gain), float(crossover))
 
 
 def design_filter(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle: float = MAX_RATTLE) -> LoopDesign:
-    """Choose gain and zero for this plant; pole and sample timer stay.
+    """Choose gain and zero of the servo filter for this plant; pole and sample timer stay.
 
     Args:
         loop: Servo loop with the plant.
@@ -101,7 +101,7 @@ def design_registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
 
 
 def draw_design(design: LoopDesign, loop: ServoLoop, path: Path) -> None:
-    """Draw the Bode diagram and the root locus.
+    """Draw the Bode diagram and the root locus of a servo loop.
 
     Args:
         design: Design to draw.

@@ -87,7 +87,7 @@ def play_episodes(id_: str, player: str, episodes: int, **settings: Any) -> tupl
 
 
 def choose_actions(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
-    """Choose the next actions of a player.
+    """Choose the next actions of a player that does not learn.
 
     Args:
         envs: Vector environment.
@@ -102,7 +102,7 @@ def choose_actions(envs: Any, player: str, rng: np.random.Generator) -> np.ndarr
 
 
 def format_row(task: str, split: str, player: str, totals: np.ndarray, score: dict[str, np.ndarray]) -> str:
-    """Format a row of the table.
+    """Format a row of the table of tasks and players.
 
     Args:
         task: Name of the task.

@@ -153,7 +153,7 @@ class TrialObserver:
 
 
 def find_rests(samples: list[TrialSample]) -> list[tuple[int, int]]:
-    """Find the rests of x that follow a commanded motion and last MIN_REST_S or longer.
+    """Find the rests of axis x that follow a commanded motion and last MIN_REST_S or longer.
 
     Args:
         samples: Samples of a run.

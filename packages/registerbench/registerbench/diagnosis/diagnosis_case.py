@@ -90,7 +90,7 @@ class Case:
         self._power_up()
 
     def score(self) -> Score:
-        """Return the score. The acceptance trial runs even if the agent's budget is spent."""
+        """Return the agent's score. The acceptance trial runs even if the agent's budget is spent."""
         causes, named = set(self.setup.causes), set(self._answer)
         found = max((len(named & causes) - len(named - causes)) / len(causes), -1.0)
         used = self.box.meter
@@ -171,7 +171,7 @@ class Case:
         return {"text": "thank you."}
 
     def _require_running(self) -> None:
-        """Raise an error if the agent has finished."""
+        """Raise an error if the agent has finished its work on the broken set-up."""
         if self.over:
             raise StageError("You have finished: nothing counts anymore.")
 

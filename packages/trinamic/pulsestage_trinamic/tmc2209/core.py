@@ -23,13 +23,13 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 @hot
 def _find_next_chip_event(c):
-    """Return the clock of the next event of the chip or its UART, or NEVER."""
+    """Return the clock of the next event of the TMC2209 or its UART, or NEVER."""
     return least(uart.find_next_event(c), least(c.next_step, power_stage.find_next_timer_clock(c)))
 
 
 @hot
 def _process_chip_event(c):
-    """Process the event of the chip or its UART that is due."""
+    """Process the event of the TMC2209 or its UART that is due."""
     if uart.find_next_event(c) <= c.clock:
         uart.process_event(c)
     elif c.next_step <= c.clock:
@@ -40,7 +40,10 @@ def _process_chip_event(c):
 
 @hot
 def _follow_lines(c, before):
-    """Let the chip follow the lines after their levels have changed from `before`."""
+    """Let the TMC2209 react to changed levels of STEP, DIR and the other lines.
+
+    `before` is the word of levels before the change.
+    """
     if before & ~c.inputs & STEP and c.registers[state.CHOPCONF] & state.DEDGE:
         count_step(c, True)
     power_stage.follow_steps(c)
@@ -48,13 +51,13 @@ def _follow_lines(c, before):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(c, axis_index, net_before, clocks):
-    """Return the mean count of the last `clocks` clocks."""
+    """Return the mean of the net step count over the last `clocks` clocks of the axis."""
     return motor_field.compute_mean_position(c, clocks) / c.unit
 
 
 @exported(None, STATE)
 def power_up(c):
-    """Clear registers, step timer and chip; lines and switches stay as the host and the stage drive them."""
+    """Clear registers, step timer and TMC2209 of an axis; lines and switches stay as the host and the stage drive them."""
     step_timer.clear(c)
     register_file.clear(c)
     uart.clear(c)
@@ -62,7 +65,7 @@ def power_up(c):
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
-    """Return the value that a read cycle would find, without its side effects."""
+    """Return the value that a read cycle at this address would find, without the side effects of a read."""
     if address >= maps.REGISTER_BASE:
         return register_file.read_register(c, address - maps.REGISTER_BASE)
     if address == maps.UART_BYTE:
@@ -100,7 +103,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value of a register, even if a host cannot read it."""
+    """Return the value of a TMC2209 register, even if a host cannot read it."""
     if address >= maps.REGISTER_BASE:
         return register_file.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
@@ -108,7 +111,7 @@ def get_register_value(c, address):
 
 @exported("i8", STATE)
 def get_step_places(c):
-    """Return by how many 1/256 full steps a step moves the field."""
+    """Return by how many 1/256 full steps one step turns the motor's field."""
     return 1 << power_stage.read_step_shift(c)
 
 
@@ -175,7 +178,7 @@ def set_load(c, axis_index, angle, emf):
 
 @exported(None, STATE, "i8", "i8")
 def set_fixed_load(c, lam, emf):
-    """Set the load, 0 to 1024 each, of a chip that is not on a stage."""
+    """Set the motor load that StallGuard4 measures, 0 to 1024 each, of a chip that is not on a stage."""
     c.lam, c.emf = lam, emf
 
 

@@ -21,13 +21,13 @@ FULL_RESULT = 510
 
 @hot
 def to_axis_clocks(c, chip_clocks):
-    """Convert clocks of the chip to clocks of the axis."""
+    """Convert clocks of the TMC2209 to clocks of the axis."""
     return chip_clocks // c.f_clk * c.hz + chip_clocks % c.f_clk * c.hz // c.f_clk
 
 
 @hot
 def read_step_shift(c):
-    """Return MRES: a step is 2^MRES of 1/256 full step."""
+    """Return MRES of the TMC2209: a step is 2^MRES of 1/256 full step."""
     if c.registers[state.GCONF] & state.MSTEP_REG_SELECT:
         return least(8, c.registers[state.CHOPCONF] >> 24 & 15)
     if c.inputs & state.MS1:
@@ -81,7 +81,7 @@ def compute_current_amplitude(c):
 
 @hot
 def compute_standstill_clock(c):
-    """Return the clock from which on the motor stands still (stst)."""
+    """Return the clock from which on the TMC2209 counts the motor as standing still (flag stst)."""
     return c.stepped + to_axis_clocks(c, STANDSTILL_CLOCKS)
 
 
@@ -95,7 +95,7 @@ def _compute_reduction_clock(c, standstill):
 
 @hot
 def find_next_timer_clock(c):
-    """Return the clock at which the next timer of standstill ends, or NEVER."""
+    """Return the clock at which the TMC2209's next standstill timer ends, or NEVER."""
     at = state.NEVER
     standstill = compute_standstill_clock(c)
     if c.period or c.stall or c.sg:
@@ -106,7 +106,7 @@ def find_next_timer_clock(c):
 
 @hot
 def process_timers(c):
-    """Process the timers of standstill that end at this clock."""
+    """Process the TMC2209's standstill timers that end at this clock."""
     standstill = compute_standstill_clock(c)
     if c.clock >= standstill and (c.period or c.stall or c.sg):
         c.period = c.stall = c.sg = 0
@@ -118,7 +118,7 @@ def process_timers(c):
 
 @hot
 def apply_current_registers(c):
-    """Apply a write of IHOLD_IRUN, and a change of what reduces the current at rest."""
+    """Apply a write of the current register IHOLD_IRUN, and a change of what reduces the current at rest."""
     if not is_current_reduced_at_rest(c):
         common_power_stage.raise_current(c, c.registers[state.IHOLD_IRUN])
     common_power_stage.apply_current_register(c, c.registers[state.IHOLD_IRUN])
@@ -145,7 +145,7 @@ def _get_bit_if_passed(c, bit, threshold, excludes_equal, tstep):
 
 @hot
 def update_thresholds(c):
-    """Update the speed thresholds, and what depends on them."""
+    """Update the speed thresholds of the TMC2209, and what depends on them."""
     tstep = compute_tstep(c)
     c.passed = _get_bit_if_passed(c, state.FAST, c.registers[state.TPWMTHRS], True, tstep) | _get_bit_if_passed(
         c, state.COOL, c.registers[state.TCOOLTHRS], False, tstep
@@ -160,7 +160,7 @@ def update_thresholds(c):
 
 @hot
 def is_measuring(c):
-    """Return whether StallGuard4 measures: in StealthChop only."""
+    """Return whether StallGuard4 measures the load: in StealthChop only."""
     return is_power_stage_on(c) and is_stealth_chop_active(c)
 
 
@@ -177,7 +177,7 @@ def is_cool_step_active(c):
 
 @hot
 def compute_result(c):
-    """Return SG_RESULT for the mean load of the present full step.
+    """Return SG_RESULT, the load value of StallGuard4, for the mean load of the present full step.
 
     The share of the back EMF in the voltage of the winding, e / (e + I R), rises with speed and falls with current; the load
     takes its part of it. With LAM as a share of the greatest torque at the present current, more current gives more result under
@@ -191,7 +191,7 @@ def compute_result(c):
 
 @hot
 def measure_load(c):
-    """Measure the load at the end of a full step."""
+    """Measure the motor's load at the end of a full step, as StallGuard4 does."""
     c.full += 1
     if not is_measuring(c):
         return
@@ -208,7 +208,7 @@ def measure_load(c):
 
 @hot
 def move_field(c, places):
-    """Move the field by a step of so many places, 1/256 full steps, and raise the current to IRUN."""
+    """Move the motor's field by one step of `places` 1/256 full steps, and raise the current to IRUN."""
     if places == 0:
         return
     has_stopped = c.clock >= compute_standstill_clock(c)
@@ -258,7 +258,7 @@ def _schedule_internal_step(c, value):
 
 @hot
 def make_internal_step(c):
-    """Make the step of VACTUAL that is due."""
+    """Make the step that is due at the velocity VACTUAL, which the chip makes without STEP and DIR."""
     value = c.registers[state.VACTUAL]
     places = 1 << read_step_shift(c)
     c.toggle ^= 1
@@ -273,7 +273,7 @@ def make_internal_step(c):
 
 @hot
 def latch_faults(c):
-    """Latch the faults that are present, and switch the power stage off."""
+    """Latch the faults of the TMC2209's power stage that are present, and switch the power stage off."""
     chop = c.registers[state.CHOPCONF]
     common_power_stage.latch_faults(
         c, chop & 15 and c.inputs & ENABLE, chop, state.SHORT_G, state.SHORT_VS, state.OT, state.OTPW

@@ -14,7 +14,10 @@ FULL_DUTY = 255
 
 @hot
 def clear(c):
-    """Set the power-up values of the data sheet. The pins, the position of the field and the parts on the board stay."""
+    """Set the registers of the TMC2209 to the power-up values of the data sheet.
+
+    Pins, the field's position and board parts stay.
+    """
     for k in range(maps.REGISTERS):
         c.registers[k] = maps.RESET_VALUES[k]
     c.followed = c.net
@@ -30,13 +33,13 @@ def clear(c):
 
 @hot
 def compute_diag_pin(c):
-    """Return whether DIAG is high: a stall, or a driver error."""
+    """Return whether the TMC2209's output DIAG is high: a stall, or a driver error."""
     return c.stall or c.shorts or c.hot or c.inputs & state.UV_CP
 
 
 @hot
 def compute_index_pin(c):
-    """Return whether INDEX is high: at the first microstep of each 4 full steps, or what GCONF selects."""
+    """Return whether the output INDEX is high: at the first microstep of each 4 full steps, or what GCONF selects."""
     if c.registers[state.GCONF] & state.INDEX_STEP:
         return c.toggle
     if c.registers[state.GCONF] & state.INDEX_OTPW:
@@ -81,7 +84,7 @@ def _compute_pwm_scale(c):
 
 @hot
 def get_register_value(c, register):
-    """Return the value of a register, including registers that a host cannot read."""
+    """Return the value of a TMC2209 register, including registers that a host cannot read."""
     if register == state.GSTAT:
         return c.gstat | (4 if c.inputs & state.UV_CP else 0)
     if register == state.IFCNT:
@@ -112,7 +115,7 @@ def read_register(c, register):
 
 @hot
 def write_register(c, register, value):
-    """Write a register. The new value takes effect at once."""
+    """Write a register of the TMC2209. The new value takes effect at once."""
     if maps.STORED_BITS[register] == 0:
         return
     value &= maps.STORED_BITS[register]

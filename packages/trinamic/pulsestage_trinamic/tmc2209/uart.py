@@ -38,7 +38,7 @@ def compute_bit_clocks(c):
 
 @hot
 def clear(c):
-    """Clear the chip's side of the line. Bytes of the host that are on their way stay."""
+    """Clear the TMC2209's side of the UART line. Bytes of the host that are on their way stay."""
     c.received = c.lost_sync = 0
     c.byte_begin = c.byte_end = -state.NEVER
     c.replied, c.replies = state.DATAGRAM, state.NEVER
@@ -60,7 +60,7 @@ def send_to_chip(c, byte):
 
 @hot
 def take_byte(c):
-    """Return the next byte that the chip has sent to the host, or -1."""
+    """Return the next byte that the TMC2209 has sent to the host over its UART, or -1."""
     if c.collected == c.sent:
         return -1
     c.collected += 1
@@ -69,7 +69,7 @@ def take_byte(c):
 
 @hot
 def find_next_event(c):
-    """Return the clock of the next byte in either direction, or NEVER."""
+    """Return the clock of the next byte on the UART line in either direction, or NEVER."""
     return c.arrives if c.arrives < c.replies else c.replies
 
 
@@ -92,7 +92,7 @@ def _is_rate_understood(c, bits):
 
 @hot
 def _note_mistake(c, kind, detail):
-    """Count a datagram or byte that does nothing."""
+    """Count a datagram or byte on the UART line that has no effect."""
     if c.mistakes[kind] == 0:
         c.mistake_clock[kind], c.mistake_detail[kind] = c.clock, detail
     c.mistakes[kind] += 1
@@ -108,7 +108,7 @@ def _raise_line(c):
 
 @hot
 def receive_byte(c, byte, is_of_host):
-    """Take a byte whose stop bit ends now, of the host or of another chip."""
+    """Let the TMC2209 receive a byte whose stop bit ends now, of the host or of another chip on the wire."""
     bits = compute_bit_clocks(c)
     begin = c.clock - BYTE_BITS * bits
     if c.received and begin - c.byte_begin > PAUSE_BITS * bits:
@@ -141,7 +141,7 @@ def receive_byte(c, byte, is_of_host):
 
 @hot
 def _execute(c, size, bits, is_of_host):
-    """Execute a whole datagram, if its CRC is right and it is for this chip."""
+    """Execute a whole UART datagram, if its CRC is right and it is for this TMC2209."""
     crc = 0
     for k in range(size - 1):
         crc = add_to_crc(crc, c.datagram[k])

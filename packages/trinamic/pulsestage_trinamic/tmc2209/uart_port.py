@@ -24,7 +24,7 @@ MAX_ADDRESS = 3
 
 
 def compute_crc(content: bytes) -> int:
-    """Compute the CRC of the bytes of a datagram before it."""
+    """Compute the CRC that ends a UART datagram from the bytes before it."""
     crc = 0
     for byte in content:
         crc = int(uart.add_to_crc(crc, byte))
@@ -46,7 +46,7 @@ def build_write(address: int, register: int, value: int) -> bytes:
 
 
 class UartPort:
-    """Host's end of the line. The chip takes the rate from the sync nibble, so `baud` can be set at any time.
+    """Host's end of the UART line to a TMC2209. The chip takes the rate from the sync nibble, so `baud` can be set at any time.
 
     Args:
         chip: The chip at the other end.
@@ -74,7 +74,7 @@ class UartPort:
 
     @property
     def baud(self) -> int:
-        """Rate of the host, bits per second."""
+        """Baud rate at which the host sends, bits per second."""
         return round(1e9 / int(self._chip.state["bit_ns"]))
 
     @baud.setter
@@ -88,28 +88,28 @@ class UartPort:
 
     @property
     def address(self) -> int:
-        """Address of the chip, by the levels of MS1 and MS2."""
+        """UART address of the TMC2209, set by the levels of MS1 and MS2."""
         pins = self._chip.pins
         return int(pins.ms1) + 2 * int(pins.ms2)
 
     @property
     def pending(self) -> int:
-        """Number of bytes of the host that have not arrived."""
+        """Number of bytes of the host that have not arrived at the TMC2209."""
         c = self._chip.state
         return int(c["queued"] - c["delivered"])
 
     @property
     def room(self) -> int:
-        """Number of bytes that can be written now."""
+        """Number of bytes that `write` accepts now."""
         return state.QUEUE - self.pending
 
     @property
     def is_replying(self) -> bool:
-        """True while a reply is on its way."""
+        """True while a reply of the TMC2209 is on its way."""
         return int(self._chip.state["replied"]) < state.DATAGRAM
 
     def write(self, content: bytes) -> None:
-        """Send bytes, after those that are still on their way. No time passes but that of the bus cycles.
+        """Send bytes to the TMC2209, after those that are still on their way. Only bus cycles take time.
 
         Raises:
             ArgumentError: `content` is no bytes.

@@ -76,7 +76,7 @@ def compute_ramp_stat(c):
 
 @hot
 def compute_drv_status(c):
-    """Return DRV_STATUS."""
+    """Return DRV_STATUS, the TMC5160's register of driver and StallGuard flags."""
     word = c.sg | c.cs << 16 | c.stall << 24
     word |= 1 << 14 if speed_thresholds.is_stealth_chop_active(c) else 0
     word |= 1 << 15 if c.speeds & state.HIGH and c.reg[state.CHOPCONF] & state.VHIGHFS else 0
@@ -117,7 +117,7 @@ def compute_output_pins(c):
 
 @hot
 def update_position_reached(c):
-    """Update position_reached and its event."""
+    """Update the TMC5160's flag position_reached and its event."""
     now = 1 if c.x == c.target else 0
     if now and not c.reached:
         c.events |= state.EVENT_POS
@@ -129,7 +129,7 @@ def update_position_reached(c):
 
 @hot
 def get_register_value(c, address):
-    """Return the value of a register, including registers that a host cannot read."""
+    """Return the value of a TMC5160 register, including registers that a host cannot read."""
     if address == state.GSTAT:
         return c.gstat
     if address == state.IOIN:
@@ -173,7 +173,7 @@ def read_register(c, address):
 
 @hot
 def write_register(c, address, value):
-    """Write a register. The value takes effect at the next clock, but the flags of the position change at once."""
+    """Write a register of the TMC5160. It takes effect at the next clock; the flags of the position change at once."""
     value &= maps.STORED_BITS[address]
     if maps.STORED_BITS[address] == 0:
         return
@@ -211,13 +211,13 @@ def write_register(c, address, value):
 
 @hot
 def compute_next_answer(c):
-    """Return the 40 bits that the chip sends during the next datagram."""
+    """Return the 40 bits that the TMC5160 sends during the next SPI datagram."""
     return compute_spi_status(c) << 32 if c.answer == NO_ANSWER else c.answer
 
 
 @hot
 def _execute_datagram(c, datagram):
-    """Execute a whole datagram, and prepare the answer to the next one."""
+    """Execute a whole SPI datagram, and prepare the answer to the next one."""
     address = datagram >> 32 & ADDRESS_BITS
     datum = datagram & maps.M32
     if datagram >> 39 & 1:
@@ -229,7 +229,7 @@ def _execute_datagram(c, datagram):
 
 @hot
 def write_address(c, address, value):
-    """Make one write cycle on the bus."""
+    """Make one write cycle on the bus of the TMC5160."""
     if address < maps.REGISTERS:
         write_register(c, address, value & maps.M32)
     elif address == maps.SPI_CS:
@@ -246,7 +246,7 @@ def write_address(c, address, value):
 
 @hot
 def set_chip_select(c, level):
-    """Set the level of CSN."""
+    """Set the level of CSN, the chip select pin of SPI."""
     if c.csn and not level:
         c.shift, c.bits = compute_next_answer(c), 0
     elif level and not c.csn:

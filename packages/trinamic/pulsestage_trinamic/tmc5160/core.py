@@ -41,14 +41,14 @@ __all__ = [
 
 @hot
 def _halt_and_renew_thresholds(c):
-    """Stop at once. The speed thresholds are evaluated for the speed 0 at the next clock, not at this one."""
+    """Stop the motor at once. The speed thresholds see the speed 0 at the next clock, not at this one."""
     ramp.halt_ramp(c)
     c.fresh = 1
 
 
 @hot
 def _process_clock(c):
-    """Process one clock in the order of the data sheet: inputs, ramp, step, flags, timers, faults."""
+    """Process one clock of the TMC5160 in the order of the data sheet: inputs, ramp, step, flags, timers, faults."""
     c.clock += 1
     c.fresh = 0
     switches.process_clock(c)
@@ -123,7 +123,7 @@ def _find_eventful_step(c, stop_flags):
 
 @hot
 def _skip_uneventful_clocks(c, until, stop_flags):
-    """Process many clocks at once, but not beyond `until`.
+    """Process many clocks of the TMC5160 at once, but not beyond `until`.
 
     Returns the number of clocks, or 0 if `_process_clock` must process the next one.
     """
@@ -170,7 +170,7 @@ def _skip_uneventful_clocks(c, until, stop_flags):
 
 @hot
 def _advance_by_steps_only(c, speed_change, clocks):
-    """Process clocks in which nothing but steps happens."""
+    """Process clocks of the TMC5160 in which nothing but steps happens."""
     k = _count_steps(c, speed_change, clocks)
     if k:
         low, high = 0, clocks  # the clock of the last step
@@ -190,7 +190,7 @@ def _advance_by_steps_only(c, speed_change, clocks):
 
 @hot
 def _run_to_next_event(c, until, stop_flags):
-    """Run to the next event, but not beyond `until`."""
+    """Run the TMC5160 to its next event, but not beyond clock `until`."""
     if _skip_uneventful_clocks(c, until, stop_flags):
         if c.fed:
             encoder.count_passed_edges(c)
@@ -249,13 +249,13 @@ def set_load(c, axis_index, angle, emf):
 
 @exported(None, STATE, "i8", "i8")
 def set_fixed_load(c, lam, emf):
-    """Set the load, 0 to 1024 each, of a chip that is not on a stage."""
+    """Set the motor load that StallGuard measures, 0 to 1024 each, of a chip that is not on a stage."""
     stallguard.set_fixed_load(c, lam, emf)
 
 
 @exported("i8", STATE, "i8")
 def read_net_count(c, axis_index):
-    """Return the position of the field: 1/256 full steps since power-up."""
+    """Return the position of the motor's field: 1/256 full steps since power-up."""
     return c.net
 
 
@@ -267,7 +267,7 @@ def compute_drive_input(c, axis_index, net_before, clocks):
 
 @hot
 def _compute_field_rate(c):
-    """Return the rate of the field, 1/256 full steps a clock."""
+    """Return the rate at which the motor's field turns, 1/256 full steps a clock."""
     direction = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
     if speed_thresholds.is_emergency_stop_active(c):
         return 0.0
@@ -282,7 +282,7 @@ def read_pulse_rate(c, axis_index, clock_hz):
 
 @exported("i8", STATE, "i8")
 def read_counter(c, axis_index):
-    """Return XACTUAL."""
+    """Return XACTUAL, the TMC5160's actual position in 1/256 full steps."""
     return c.x & M32
 
 
@@ -312,13 +312,13 @@ def read_outputs(c, axis_index):
 
 @exported("i8", STATE, "i8")
 def read_status(c, axis_index):
-    """Return RAMP_STAT."""
+    """Return RAMP_STAT, the TMC5160's register of ramp and switch flags."""
     return bus.compute_ramp_stat(c)
 
 
 @exported("i8", STATE, "i8")
 def is_busy(c, axis_index):
-    """Return whether a drive is in progress."""
+    """Return whether the TMC5160 has a drive in progress."""
     return bus.is_drive_in_progress(c)
 
 
@@ -342,7 +342,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value of a register, even if a host cannot read it."""
+    """Return the value of a TMC5160 register, even if a host cannot read it."""
     return bus.get_register_value(c, address)
 
 

@@ -27,14 +27,14 @@ EDGES_PER_PERIOD = 4  # edges after which A and B are the same again
 
 @hot
 def initialize_levels(c):
-    """Store the levels at power-up, so that they do not count as edges."""
+    """Store the levels of the encoder inputs at power-up, so that they do not count as edges."""
     c.enc_pins = _read_pin_levels(c)
     c.enc_met = _is_index_condition_met(c)
 
 
 @hot
 def process_clock(c):
-    """Count the edges of A and B and process N events at the beginning of a clock."""
+    """Count the edges of the encoder inputs A and B and process N events at the beginning of a clock."""
     if c.fed:
         _pass_edges_up_to(c, _find_edge_at(c, c.clock))
     else:
@@ -78,7 +78,7 @@ def needs_each_encoder_edge(c):
 
 @hot
 def find_next_edge(c):
-    """Return the clock at which the shaft next passes an edge, or an earlier clock."""
+    """Return the clock at which the shaft next passes an encoder edge, or an earlier clock."""
     if _find_edge_at(c, c.clock + 1) != c.edge:
         return c.clock + 1
     rate = abs(c.shaft_rate)
@@ -98,7 +98,7 @@ def find_next_edge(c):
 
 @hot
 def count_passed_edges(c):
-    """Count the edges of past clocks, none of which had to be processed in its own clock."""
+    """Count the encoder edges of past clocks, none of which had to be processed in its own clock."""
     edge = _find_edge_at(c, c.clock)
     if edge != c.edge:
         _count_edges(c, edge - c.edge)
@@ -147,7 +147,7 @@ def _read_pin_levels(c):
 
 @hot
 def _count_pin_change(c):
-    """Count an edge at pins that are set directly, without a shaft."""
+    """Count an edge of the encoder inputs when pins are set directly, without a shaft."""
     now, was = _read_pin_levels(c), c.enc_pins
     c.enc_pins = now
     changed = now ^ was
@@ -160,7 +160,7 @@ def _count_pin_change(c):
 
 @hot
 def _count_edges(c, edges):
-    """Add edges to the counter; negative edges count down."""
+    """Add edges of the encoder to its counter X_ENC; negative edges count down."""
     factor = c.reg[state.ENC_CONST]
     base = 10_000 if c.reg[state.ENCMODE] & DECIMAL else 65_536
     part = c.part + edges * (factor & 0xFFFF)
@@ -186,7 +186,7 @@ def _is_index_condition_met(c):
 
 @hot
 def _process_index(c):
-    """Latch or clear positions as ENCMODE demands if an N event happens now."""
+    """Latch or clear positions as ENCMODE demands if an N event (index pulse) happens now."""
     mode, now = c.reg[state.ENCMODE], _is_index_condition_met(c)
     was, done = c.enc_met & 1, c.enc_met & 2 if now else 0
     c.enc_met = done | now

@@ -14,13 +14,13 @@ from stage.native import hot
 
 @hot
 def _is_counting_up(c):
-    """Return whether the field turns towards greater MSCNT."""
+    """Return whether the motor's field turns towards greater MSCNT, the sequencer's position."""
     return (c.dir > 0) != ((c.reg[GCONF] & SHAFT) != 0)
 
 
 @hot
 def _compute_position_after(c, steps):
-    """Return MSCNT after these steps, without wrapping at 1024."""
+    """Return MSCNT, the sequencer's position, after these steps, without wrapping at 1024."""
     fine, at = get_step_shift(c), c.mscnt
     size = 1 << fine
     half = size >> 1
@@ -44,7 +44,7 @@ def count_steps_to_full_step(c):
 
 @hot
 def make_steps(c, steps, clock):
-    """Make steps, the last one at `clock`, and raise the current to IRUN."""
+    """Make steps of the microstep sequencer, the last one at `clock`, and raise the current to IRUN."""
     now = _compute_position_after(c, steps)
     c.net += now - c.mscnt
     c.mscnt = now & 1023

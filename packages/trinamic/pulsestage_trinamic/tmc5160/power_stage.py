@@ -12,14 +12,14 @@ DELAY_SHIFT = 18  # times are in 2^18 clocks
 
 @hot
 def is_power_stage_on(c):
-    """Return whether the power stage drives the motor."""
+    """Return whether the TMC5160's power stage drives the motor."""
     enabled = c.reg[state.CHOPCONF] & 15 and not c.inputs & state.DRV_ENN
     return enabled and not (c.shorts or c.hot or c.inputs & state.UV_CP)
 
 
 @hot
 def compute_current_amplitude(c):
-    """Return the amplitude of the phase currents, A."""
+    """Return the amplitude of the phase currents that the TMC5160 makes, A."""
     if not is_power_stage_on(c):
         return 0.0
     if (
@@ -49,7 +49,7 @@ def is_at_standstill(c):
 
 @hot
 def find_next_timer_clock(c):
-    """Return the clock at which the next standstill timer ends, at least the next clock."""
+    """Return the clock at which the TMC5160's next standstill timer ends, at least the next clock."""
     stops = c.last + _get_standstill_clocks(c)
     at = state.NEVER
     if c.sg or c.stall or c.summed:
@@ -74,7 +74,7 @@ def process_standstill_timers(c):
 
 @hot
 def latch_faults(c):
-    """Latch the faults that are present, and switch the power stage off."""
+    """Latch the faults of the TMC5160's power stage that are present, and switch the power stage off."""
     chop = c.reg[state.CHOPCONF]
     is_driving = chop & 15 and not c.inputs & state.DRV_ENN
     common_power_stage.latch_faults(c, is_driving, chop, state.SHORT_G, state.SHORT_VS, state.OT, state.OTPW)

@@ -47,13 +47,13 @@ def get_vstop_speed(c):
 
 @hot
 def compute_distance_to_target(c):
-    """Return XTARGET - XACTUAL."""
+    """Return XTARGET - XACTUAL, the TMC5160's distance to its target in 1/256 full steps."""
     return state.to_signed32(c.target - c.x)
 
 
 @hot
 def find_requested_direction(c):
-    """Return the direction in which mode and target request a motion."""
+    """Return the direction in which ramp mode and target of the TMC5160 request a motion."""
     mode = c.reg[state.RAMPMODE]
     if mode == state.POSITION:
         n = compute_distance_to_target(c)
@@ -81,7 +81,7 @@ def _get_acceleration(c, speed):
 
 @hot
 def _get_deceleration_to_vmax(c, speed):
-    """Return the deceleration towards a lower VMAX."""
+    """Return the deceleration of the TMC5160's ramp towards a lower VMAX."""
     return c.reg[state.A1] if c.reg[state.V1] and speed <= _get_v1_speed(c) else c.reg[state.AMAX]
 
 
@@ -145,7 +145,7 @@ def compute_braking_distance(c, speed):
 
 @hot
 def _is_too_short_to_brake(c, steps, speed):
-    """Return whether this distance is too short to brake from speed q."""
+    """Return whether this distance is too short for the axis to brake from speed q to VSTOP."""
     return 256 * (steps - 1) < compute_braking_distance(c, speed)
 
 
@@ -288,7 +288,7 @@ def _plan_braking(c, speed):
 
 @hot
 def _plan_before_braking(c, speed):
-    """Plan the clocks of a positioning before its braking begins."""
+    """Plan the clocks of a positioning move before its braking begins."""
     g, corner = _get_vmax_speed(c), _get_v1_speed(c)
     if speed < g:
         rate = _get_acceleration(c, speed)
@@ -310,7 +310,7 @@ def _plan_before_braking(c, speed):
 
 @hot
 def is_plan_valid(c, plan_kind, speed_change, clocks, steps_before_last_clock):
-    """Return whether a plan applies to all of its clocks.
+    """Return whether a plan of evenly changing speed applies to all of its clocks.
 
     Args:
         c: State of the chip.

@@ -17,7 +17,7 @@ def is_measuring(c):
 
 @hot
 def clear_result_if_unmeasured(c):
-    """Clear the result while StallGuard does not measure."""
+    """Clear the StallGuard result while StallGuard does not measure."""
     if not is_measuring(c):
         c.sg = c.stall = 0
 
@@ -76,13 +76,13 @@ def _measure_load(c):
 
 @hot
 def set_fixed_load(c, lam, emf):
-    """Set the load of a chip that is not on a stage; LAM and EMF are those of tmc5160_sheet.md, section 6."""
+    """Set the motor's load for a chip that is not on a stage; LAM and EMF are those of tmc5160_sheet.md, section 6."""
     c.lam, c.emf = lam, emf
 
 
 @hot
 def add_load_sample(c, lam, emf):
-    """Take a sample of the load, and return whether StallGuard measures it.
+    """Take a sample of the motor's load, and return whether StallGuard measures it.
 
     The measurement uses the means of LAM and EMF over a full step.
     """

@@ -134,6 +134,6 @@ def to_signed32(number):
 
 @hot
 def get_step_shift(c):
-    """Return MRES, at most 8: a step advances MSCNT by 2^MRES."""
+    """Return MRES of the TMC5160, at most 8: a step advances MSCNT by 2^MRES."""
     power = c.reg[CHOPCONF] >> 24 & 15
     return 8 if power > 8 else power

@@ -25,7 +25,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 @hot
 def _follow_lines(c, before):
-    """Let the chip follow the lines after their levels have changed from `before`."""
+    """Let the TMC5160 react to changed STEP, DIR and enable levels; `before` is the word of the input levels before the change."""
     if before & ~c.inputs & STEP and c.driver[0].reg[chip.CHOPCONF] & state.DEDGE:
         count_step(c, True)
     sequencer_connection.follow_steps(c)
@@ -33,13 +33,13 @@ def _follow_lines(c, before):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(c, axis_index, net_before, clocks):
-    """Return the mean count of the last `clocks` clocks."""
+    """Return the mean of the net step count over the last `clocks` clocks of the axis."""
     return motor_field.compute_mean_position(c, clocks) / c.unit
 
 
 @exported(None, STATE)
 def power_up(c):
-    """Clear step timer and chip; lines and switches stay as the host and the stage drive them."""
+    """Clear the step timer and the TMC5160 of an axis; lines and switches stay as the host and the stage drive them."""
     step_timer.clear(c)
     c.followed = c.net
     sequencer_connection.update_clock(c)
@@ -49,7 +49,7 @@ def power_up(c):
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
-    """Return the value that a read cycle would find, without its side effects."""
+    """Return the value that a read cycle at this address would find, without the side effects of a read."""
     if address >= maps.REGISTER_BASE:
         number = address - maps.REGISTER_BASE
         return sequencer_connection.get_register_value(c, number) if chip_maps.IS_READABLE[number] else 0
@@ -86,7 +86,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value of a register, even if a host cannot read it."""
+    """Return the value of a TMC5160 register, even if a host cannot read it."""
     if address >= maps.REGISTER_BASE:
         return sequencer_connection.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
@@ -94,7 +94,7 @@ def get_register_value(c, address):
 
 @exported("i8", STATE)
 def get_step_places(c):
-    """Return by how many 1/256 full steps a step moves the field."""
+    """Return by how many 1/256 full steps one step turns the motor's field."""
     return 1 << chip.get_step_shift(c.driver[0])
 
 
@@ -155,7 +155,7 @@ def set_load(c, axis_index, angle, emf):
 
 @exported(None, STATE, "i8", "i8")
 def set_fixed_load(c, lam, emf):
-    """Set the load, 0 to 1024 each, of a chip that is not on a stage."""
+    """Set the motor load that StallGuard2 measures, 0 to 1024 each, of a chip that is not on a stage."""
     stallguard.set_fixed_load(c.driver[0], lam, emf)
 
 

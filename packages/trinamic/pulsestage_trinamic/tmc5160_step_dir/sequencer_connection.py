@@ -21,14 +21,14 @@ SPEED_OF_ONE_CLOCK = 1 << 41
 
 @hot
 def update_clock(c):
-    """Advance the clock of the chip to the present time of the axis."""
+    """Advance the clock of the TMC5160 to the present time of the axis."""
     d = c.driver[0]
     d.clock = c.clock // c.hz * d.hz + c.clock % c.hz * d.hz // c.hz
 
 
 @hot
 def find_next_timer(c):
-    """Return the clock of the axis at which the next timer of standstill ends, or NEVER."""
+    """Return the clock of the axis at which the TMC5160's next standstill timer ends, or NEVER."""
     d = c.driver[0]
     at = power_stage.find_next_timer_clock(d)
     if d.q:
@@ -45,7 +45,7 @@ def _get_standstill_clocks(d):
 
 @hot
 def process_timers(c):
-    """Process the timers of standstill that end now."""
+    """Process the standstill timers of the TMC5160 that end now."""
     update_clock(c)
     d = c.driver[0]
     if d.q and power_stage.is_at_standstill(d):
@@ -56,7 +56,7 @@ def process_timers(c):
 
 @hot
 def take_pins(c):
-    """Pass the pins of the axis to the chip."""
+    """Pass the pins of the STEP/DIR axis to its TMC5160."""
     update_clock(c)
     d = c.driver[0]
     word = c.inputs << FAULT_SHIFT & FAULTS if FAULT_SHIFT >= 0 else c.inputs >> -FAULT_SHIFT & FAULTS
@@ -68,7 +68,7 @@ def take_pins(c):
 
 @hot
 def follow_steps(c):
-    """Let the chip make the steps that the lines have counted since the last call."""
+    """Let the TMC5160 make the steps that were counted at the STEP line since the last call."""
     steps = c.net - c.followed
     c.followed = c.net
     for _ in range(abs(steps)):
@@ -92,7 +92,7 @@ def _make_step(c, direction):
 
 @hot
 def compute_input_word(c):
-    """Return the pins, with DIAG0 and DIAG1 as GCONF assigns them with SD_MODE high."""
+    """Return the input pins of the axis, with DIAG0 and DIAG1 as GCONF assigns them with SD_MODE high."""
     d = c.driver[0]
     gconf = d.reg[chip.GCONF]
     stall = d.stall and speed_thresholds.is_stall_stop_possible(d)
@@ -110,7 +110,7 @@ def compute_input_word(c):
 
 @hot
 def get_register_value(c, register):
-    """Return the value of a register, including registers that a host cannot read."""
+    """Return the value of a TMC5160 register, including registers that a host cannot read."""
     if register == chip.IOIN:
         take_pins(c)  # the level of STEP
     update_clock(c)

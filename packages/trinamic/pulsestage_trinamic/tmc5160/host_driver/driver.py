@@ -141,7 +141,7 @@ class Tmc5160Driver(Driver):
     # --- registers ---
 
     def write_register(self, name: str, value: int) -> None:
-        """Write a register.
+        """Write a register of the TMC5160 by its name.
 
         Args:
             name: Name of the register, for example "VMAX".
@@ -257,7 +257,7 @@ class Tmc5160Driver(Driver):
         self.start_with_registers(self._compute_checked_ramp_registers(speeds), pulses)
 
     def start_with_registers(self, values: Mapping[str, int], pulses: int) -> None:
-        """Start a move with these registers.
+        """Start a move of the TMC5160 with these register values.
 
         Args:
             values: Registers of the ramp.
@@ -268,7 +268,7 @@ class Tmc5160Driver(Driver):
         self.write_register("XTARGET", self.prepare_target(values, pulses))
 
     def prepare_target(self, values: Mapping[str, int], pulses: int) -> int:
-        """Prepare a move with these registers.
+        """Write these register values for a move of the TMC5160, but not the target, which starts the move.
 
         Args:
             values: Registers of the ramp.
@@ -308,7 +308,7 @@ class Tmc5160Driver(Driver):
         self.run_with_registers(direction, values, STOP_AT_SWITCHES)
 
     def run_with_registers(self, direction: int, values: Mapping[str, int], stop_bits: int) -> None:
-        """Start a continuous motion with these registers.
+        """Start a continuous motion of the TMC5160 with these register values.
 
         Args:
             direction: -1 or 1.
@@ -325,7 +325,7 @@ class Tmc5160Driver(Driver):
         self.write_register("RAMPMODE", state.PLUS if direction > 0 else state.MINUS)
 
     def slow_down(self) -> None:
-        """Command a decelerating stop, and do not wait."""
+        """Command a decelerating stop of the TMC5160, and do not wait for its end."""
         self.write_register("VMAX", 0)
 
     def halt(self, at_once: bool = False) -> None:
