@@ -40,7 +40,7 @@ STATES = {
     "fault": (206, 52, 46), "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
 }  # fmt: skip
 NEUTRAL = (176, 182, 192)
-"""Color of bus lines. Only mistakes, a write that did not arrive or a fault, are red."""
+"""Color of bus lines. Only mistakes, a write that did not arrive or a fault that begins, are red."""
 LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERROR"}
 
 
@@ -270,9 +270,11 @@ def _log_faults(out: Any, fault_changes: list[FaultChange], first_index: int) ->
     style = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
     out.log("faults", style, static=True)
     out.send_columns("faults", indexes=[when], columns=rr.StateChange.columns(state=states[first_index:]))
+    before = [(), *(n.in_force for n in fault_changes)][first_index:]
+    begins = [len(n.in_force) > len(earlier) for n, earlier in zip(new, before, strict=False)]
     texts = rr.TextLog.columns(
         text=[f"{n.time:11.6f}  FAULT  {n.text}" for n in new],
-        level=["ERROR"] * len(new),
-        color=[(*STATES["fault"], 255)] * len(new),
+        level=["ERROR" if begin else "INFO" for begin in begins],
+        color=[(*(STATES["fault"] if begin else NEUTRAL), 255) for begin in begins],
     )
     out.send_columns("faults/log", indexes=[when], columns=texts)

@@ -10,8 +10,10 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from support.programs import start_preset
 from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, stage_of
 
+from stage import Stage, faults
 from stage.chips import HCTL1100
 from stage.recording import rerun_geoms, rerun_log, rerun_scene, rerun_viewer, saved_recording
 from stage.recording.recording import ROWS, Recording, RecordingError
@@ -89,6 +91,36 @@ def test_bus_lines_are_neutral_and_only_a_lost_write_is_red(monkeypatch):
     neutral = (*rerun_log.NEUTRAL, 255)
     assert logged == [neutral, neutral, neutral, (*RED, 255)]
     assert max(neutral[:3]) - min(neutral[:3]) < 20, "a gray"
+
+
+@pytest.mark.parametrize("has_mistakes", [False, True])
+def test_red_lines_of_a_file_are_mistakes_and_all_others_are_gray(tmp_path, has_mistakes):
+    stage = Stage("xy", visuals=False)
+    x = stage.axes["x"]
+    with stage.record() as recording:
+        if has_mistakes:
+            faults.lost_write(x, value=0x15)
+            x.chip.write(0, 0x15)
+        start_preset(x.chip, 10)
+        stage.run(0.01)
+        x.chip.reset()
+    read = read_rrd(recording.save(tmp_path / "run.rrd"))
+    lines = []
+    for entity in (entity for entity in read.values() if "TextLog:text" in entity):
+        columns = (entity[f"TextLog:{name}"][1] for name in ("text", "level", "color"))
+        lines += [(text, level, color) for (text,), (level,), (color,) in zip(*columns, strict=True)]
+    assert {color for *_, color in lines} <= {number(RED), number(rerun_log.NEUTRAL)}
+    red = sorted(text.split(maxsplit=1)[1] for text, _, color in lines if color == number(RED))
+    assert red == [text.split(maxsplit=1)[1] for text, level, _ in sorted(lines) if level == "ERROR"]
+    if has_mistakes:
+        begin, lost = red
+        assert begin.startswith("FAULT  axis x: a bus write of 15h gets lost: begins")
+        assert lost.startswith("x  15  LOST: ")
+        assert any(": cleared" in text for text, *_ in lines), "the end of a fault is no mistake"
+    else:
+        assert red == []
+    assert sum("start, ramp to FH1" in text for text, _, color in lines if color != number(RED)) == 1
+    assert any("reset pin" in text for text, *_ in lines)
 
 
 def test_the_command_is_dark_and_wide_below_the_position(streamed):
