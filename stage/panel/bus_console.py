@@ -116,13 +116,18 @@ class BusConsole:
         for line in trace.get_lines_after(self._last_line):
             self._last_line = line.number
             self._log.append(line.format(trace.digits), "bad" if line.kind in (DIAGNOSTIC, "lost") else "", line.first)
-        has_new = False
-        for k, trace in enumerate(traces):
-            for line in tuple(trace.diagnostics):
+        diagnostics = [tuple(trace.diagnostics) for trace in traces]
+        numbers = [[0, *(line.number for line in lines)] for lines in diagnostics]
+        if [n[-1] for n in numbers] == self._last_diagnostics:
+            return
+        if any(last not in n for last, n in zip(self._last_diagnostics, numbers, strict=True)):
+            self._diagnostics_log.remove_all_lines()  # somebody went back in time
+            self._last_diagnostics = [0] * len(traces)
+        for k, lines in enumerate(diagnostics):
+            names = "/".join(self._names[k].values())
+            for line in lines:
                 if line.number > self._last_diagnostics[k]:
-                    self._last_diagnostics[k], has_new = line.number, True
-                    names = "/".join(self._names[k].values())
-                    self._diagnostics_log.append(f"{names} {line.format(trace.digits)}", "bad")
-        if has_new:
-            self._fold.set_visibility(True)
-            self._fold.text = f"diagnostics ({sum(len(trace.diagnostics) for trace in traces)})"
+                    self._diagnostics_log.append(f"{names} {line.format(traces[k].digits)}", "bad")
+        self._last_diagnostics = [n[-1] for n in numbers]
+        self._fold.set_visibility(any(diagnostics))
+        self._fold.text = f"diagnostics ({sum(map(len, diagnostics))})"

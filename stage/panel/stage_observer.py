@@ -132,6 +132,8 @@ class BusTrace:
         self._clock = self.chip.clock
         while self.sent and self.sent[-1].clock > self.chip.clock:
             self.sent.pop()
+        while self.diagnostics and self.diagnostics[-1].time > self.chip.clock / self.chip.clock_hz:
+            self.diagnostics.pop()  # of what has not happened any more
         self._listener = self.chip.make_describer()
         self._last_diagnostic = self.chip.diagnostics[-1] if self.chip.diagnostics else None
         self._add_line(self.chip.clock, "reset", 0, 0, "the time went back")

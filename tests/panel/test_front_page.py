@@ -119,3 +119,5 @@ def test_a_wrong_byte_is_the_chips_diagnostic(bench):
     browser.click("diagnostics")
     message = bench.stage(lambda stage: stage.chips[0].diagnostics[-1].message)
     browser.until(lambda: message in browser.text("diagnosed"))
+    bench.session.reset()
+    browser.until(lambda: not browser.find("diagnostics").is_displayed())

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.mirrored import mirrored
+from support.programs import load_registers
 
 from stage import Stage, firmware
 from stage.chips import PCL240K
@@ -84,6 +85,24 @@ def test_after_a_restore_the_trace_continues_from_the_chips_state(observer):
     session.do(lambda stage: stage.chips[0].write(1, 5))
     session.do(observer.update_views)
     assert "R0" in trace.lines[-1].words, "R1 was selected later"
+
+
+def test_diagnostics_after_the_restored_time_are_dropped_and_earlier_ones_stay(observer):
+    trace, session = observer.traces[0], observer.session
+    session.do(lambda stage: stage.chips[0].write(0, 0x15))
+    session.do(observer.update_views)
+    earlier = list(trace.diagnostics)
+    snapshot = session.do(lambda stage: stage.snapshot())
+    session.do(lambda stage: session.run_unpaced(stage.run, 0.01))
+    session.do(lambda stage: load_registers(stage.chips[0], R7=1))
+    session.do(observer.update_views)
+    assert len(trace.diagnostics) > len(earlier) > 0
+    session.restore(snapshot)
+    session.do(observer.update_views)
+    assert list(trace.diagnostics) == earlier
+    session.reset()
+    session.do(observer.update_views)
+    assert [line for line in trace.diagnostics if line.time > 0] == []
 
 
 def test_the_program_ends_at_the_snapshot_that_was_restored(observer):
