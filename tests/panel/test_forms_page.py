@@ -148,3 +148,29 @@ def test_a_report_is_shown_under_its_tab_also_after_a_reload(bench):
     browser.open(bench.panel.address)
     browser.until(lambda: browser.text("report") == report)
     browser.until(lambda: browser.find("pattern").find_elements("css selector", "svg"))
+
+
+def test_a_report_from_before_a_rewind_or_a_power_up_is_marked_and_faded(bench):
+    bench.fresh()
+    browser = bench.browser
+    browser.until(lambda: browser.time > 6)  # further from power-up than it goes back
+    for mark in ("from before time went back to ", "from before the power-up"):
+        bench.session.paused = False
+        fill(browser, move__distance="1")
+        report = go(browser, "move", "preset move on x: done")
+        bench.session.paused = True
+        browser.until(lambda: browser.text("undone") == "" and opacity(browser, "report") == 1)
+        if "power-up" in mark:
+            browser.click("reset")
+            browser.click("reset-confirm")
+        else:
+            browser.click("back")
+            browser.click("back-5")
+        browser.until(lambda m=mark: browser.text("undone").startswith(m))
+        assert browser.text("report") == report
+        browser.until(lambda: opacity(browser, "report") < 1)
+    bench.session.paused = False
+
+
+def opacity(browser, name):
+    return float(browser.driver.execute_script("return getComputedStyle(arguments[0]).opacity", browser.find(name)))

@@ -48,6 +48,18 @@ def test_the_page_goes_back_and_to_power_up(browser):
     browser.click("play")
 
 
+def test_the_button_that_rewinds_time_has_the_icon_of_rewind_and_not_of_undo(browser):
+    button = browser.find("back")
+    assert button.get_attribute("aria-label") == "rewind simulated time"
+    icons = [i.text for i in browser.driver.find_elements("css selector", ".q-header .q-icon")]
+    assert button.find_element("css selector", ".q-icon").text == "fast_rewind"
+    assert not {"undo", "replay", "restore", "history", "arrow_back", "settings_backup_restore"} & set(icons)
+    browser.click("back")
+    browser.until(lambda: browser.text("back-1") == "rewind by 1 s")
+    browser.driver.switch_to.active_element.send_keys("\ue00c")  # Escape closes the menu
+    browser.until(lambda: not browser.driver.find_elements("css selector", "[data-test=back-1]"))
+
+
 def test_the_scene_is_drawn(browser):
     canvas = browser.until(lambda: browser.driver.find_element("css selector", ".scene canvas"))
     assert canvas.size["width"] > 300

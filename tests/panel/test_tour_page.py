@@ -52,9 +52,34 @@ def test_each_card_fills_in_a_form_and_is_confirmed_after_its_button(bench):
         browser.click(f"go-{step.form}")
         wait_for_card(browser, f"Done: {step.title}")
         assert step.sheet in browser.text("tour-task")
+        assert browser.find("tour-next").is_displayed()
+        assert not browser.find("tour-skip").is_displayed()
         browser.until(lambda: bench.session.view.action == "")
         browser.click("tour-next")
     wait_for_card(browser, "That was the tour")
-    browser.click("tour-then-hands")
-    browser.until(lambda: browser.find("breaking").is_displayed())
+    bench.session.speed = 1.0
+
+
+def skip_to_the_end(browser):
+    browser.click("tour")
+    for k, step in enumerate(STEPS):
+        wait_for_card(browser, f"{k + 1} of 6: {step.title}")
+        browser.click("tour-skip")
+    wait_for_card(browser, "That was the tour")
+
+
+@pytest.mark.parametrize(
+    ("thing", "opened"), [("hands", "breaking"), ("chip-0", "pin-0-hold"), ("share", "save-program")]
+)
+def test_the_tour_ends_with_three_next_things_and_each_opens_its_part(bench, thing, opened):
+    browser = bench.browser
+    browser.open(bench.panel.address)
+    skip_to_the_end(browser)
+    assert "Three things to do next" in browser.text("tour-title")
+    things = browser.driver.find_elements("css selector", "[data-test^='tour-then-']")
+    assert [t.get_attribute("data-test") for t in things if t.is_displayed()] == [
+        "tour-then-hands", "tour-then-chip-0", "tour-then-share",
+    ]  # fmt: skip
+    browser.click(f"tour-then-{thing}")
+    browser.until(lambda: browser.find(opened).is_displayed())
     assert not browser.find("tour-title").is_displayed()
