@@ -32,7 +32,7 @@ POINTS = 300  # columns of pixels of a curve
 FRAME_INTERVAL_S, FLAT_INTERVAL_S = 0.1, 0.5  # s between pictures, and of flat curves
 CHART_HEIGHT, LANE_HEIGHT, GAP, LANE_GAP, TOP, FOOT, UNIT_HEIGHT = 84, 16, 12, 4, 4, 34, 18  # pixels
 INK, FAINT = "#8a94a0", "#8a94a040"
-COLORS = ("#3b8ee0", "#e0813b", "#3bb273", "#b05bd0", "#d0485b", "#9a8b3a", "#3bb6c4", "#7c8794")
+COLORS = ("#3b8ee0", "#e0813b", "#3bb273", "#b05bd0", "#3bb6c4", "#9a8b3a", "#a0694a", "#7c8794")  # red is for mistakes
 TRIGGER_TITLES = {"free": "no trigger", "auto": "auto", "normal": "normal", "single": "single"}
 
 

@@ -323,5 +323,6 @@ html { scroll-padding-top: 60px }
   .panel .q-tab { padding: 0 8px }
 }
 @media (max-width: 600px) { .readout { grid-template-columns: repeat(4, auto) } .readout .section.switches { display: none }
-  .readout .switches { grid-column: 1 / -1 } .q-header > :nth-child(1) { display: none } }
+  .readout .switches { grid-column: 1 / -1 } .q-header > :nth-child(1) { display: none }
+  .q-header { gap: 0 3px } .q-header > .q-space { flex-basis: 100% } }
 """
