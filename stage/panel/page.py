@@ -302,6 +302,7 @@ html { scroll-padding-top: 60px }
 .readout .number { font-weight: 400 } .readout .number.position { font-weight: 700 }
 .lamp { display: inline-flex; align-items: center; gap: 4px; margin-right: 10px; font-size: 12px; white-space: nowrap }
 .lamp::before { content: ""; width: 10px; height: 10px; border-radius: 50%; background: #8884; box-shadow: inset 0 0 2px #000a }
+.body--dark .lamp:not(.on)::before { background: #999a }
 .lamp.on::before { background: #ffb020; box-shadow: 0 0 6px #ffb020 }
 .form { display: grid; grid-template-columns: repeat(auto-fill, minmax(104px, 1fr)); gap: 8px; width: 100% }
 .former { opacity: .6 }
