@@ -136,7 +136,7 @@ class Config(MachineSettings):
 
     @property
     def max_target_pulses(self) -> int:
-        """Largest distance of a target from the start position, pulses."""
+        """Largest distance of a target from the start position, or from ORG in level 3, pulses."""
         return int(2 * sum(self.grid))
 
 

@@ -91,7 +91,7 @@ class MacroTable:
         self._append_programs(Program().read(a, chip.BUSY[0]))
 
     def _append_programs(self, *programs: Program) -> None:
-        """Append the programs of one macro on one axis to the table."""
+        """Append the programs of one macro on one axis to the list of all programs."""
         self._first.append(len(self._programs))
         self._programs += programs
 

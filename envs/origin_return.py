@@ -247,7 +247,7 @@ class OriginReturn(MoveTask[Config]):
         return {"payload": float(self.payload[stage_index]), "friction": float(self.friction[stage_index])}
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Convert actions from -1 to 1 to integers, (stages, numbers), in the order of `register_box.names`."""
+        """Convert actions to integers, (stages, numbers), in the order of `register_box.names`."""
         return self.register_box.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
     def make_programs(self) -> list[Program]:

@@ -141,7 +141,7 @@ def _compute_potential(axes, rules, truth):
 
 @hot
 def _has_arrived(settings, axes, rules, truth):
-    """Return whether each axis stands still within the tolerance, its motor pulls it there, and it has lost no step."""
+    """Return whether each axis rests within the tolerance, pulled there by its motor, with no lost step unless the goal is home."""
     for a in range(len(axes)):
         t, rule, goal = truth[a], rules[a], axes[a].goal
         rest = t.commanded - t.lost_steps * rule.full_step

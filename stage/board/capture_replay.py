@@ -106,7 +106,7 @@ class AxisReplay:
 
     @property
     def ok(self) -> bool:
-        """True if the axis accepted every edge of the capture, and lost no step."""
+        """True if the axis accepted all rising edges of its STEP in the capture, and lost no step."""
         return self.accepted == self.edges and not self.lost_steps
 
     def __str__(self) -> str:
@@ -138,7 +138,7 @@ class AxisReplay:
 
 
 def _describe_times(times: Sequence[float]) -> str:
-    """Return the number of the times and the first of them, s, in words."""
+    """Return in words how many times there are, and the first of them in s."""
     if not times:
         return "never asserted"
     often = "once," if len(times) == 1 else f"{len(times)} times, first"
@@ -163,7 +163,7 @@ class ReplayReport:
 
     @property
     def ok(self) -> bool:
-        """True if the capture has steps, every axis accepted every edge, and no step was lost."""
+        """True if the capture has steps, every axis accepted all of its own, and no step was lost."""
         return self.has_steps and all(axis.ok for axis in self.axes)
 
     @property
@@ -350,7 +350,7 @@ def _report_axis(
 def _count_disabled(steps: np.ndarray, changes: Sequence[_LineChanges], was_enabled: bool) -> int:
     """Count the steps of a capture that come while ENABLE is not asserted.
 
-    ENABLE at the time of a step counts as earlier.
+    A change of ENABLE at the time of a step counts as earlier.
 
     Args:
         steps: Times of rising edges of STEP since the begin of the capture, ns.
@@ -366,7 +366,7 @@ def _count_disabled(steps: np.ndarray, changes: Sequence[_LineChanges], was_enab
 
 
 def _list_switch_edges(axis: Axis, words: np.ndarray, times: np.ndarray) -> Iterable[SwitchEdge]:
-    """Yield the edges of the limit and origin switches of an axis.
+    """Yield the edges of all switches of an axis.
 
     Args:
         axis: The axis.
@@ -381,7 +381,7 @@ def _list_switch_edges(axis: Axis, words: np.ndarray, times: np.ndarray) -> Iter
 
 
 def _compare_switch(axis: Axis, changes: _LineChanges, words: np.ndarray, times: np.ndarray) -> SwitchComparison:
-    """Compare the edges of a switch line in the capture with those of the stage's switch, `words` and `times`."""
+    """Compare a switch line of the capture with the switch of the stage. `words` and `times` are those of `_list_switch_edges`."""
     on = (words & changes.line.get_mask(axis.chip)) != 0
     return SwitchComparison(
         changes.line.line,

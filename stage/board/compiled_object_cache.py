@@ -105,7 +105,7 @@ class CompiledObjectCache:
         return self._show(description["message"])
 
     def _store(self, target: Path, output: Path, dependencies: Path, message: str) -> None:
-        """Store an object file in the cache, with the digests of all source files that it was made from."""
+        """Store an object file in the cache, with the digests of all files that it was made from."""
         text = (
             dependencies.read_text(encoding="utf-8", errors="surrogateescape").partition(": ")[2].replace("\\\n", " ")
         )
@@ -121,7 +121,7 @@ class CompiledObjectCache:
         part.replace(target.with_suffix(".json"))
 
     def _remove_oldest(self) -> None:
-        """Remove the oldest third of the cached object files if there are too many."""
+        """Remove the oldest third of the files in the cache if there are too many."""
         assert self._folder is not None
         files = [(entry.stat().st_mtime, entry.path) for entry in os.scandir(self._folder)]
         for _, path in sorted(files)[: len(files) // 3] if len(files) > MAX_FILES else ():

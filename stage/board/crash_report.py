@@ -36,7 +36,7 @@ RUST_ITSELF = "(/rustc/"  # where the files of its own library are
 
 
 class Crash(NamedTuple):
-    """Crash of firmware, as the signal handler observed it.
+    """Crash of a process that runs firmware, as the signal handler observed it.
 
     Attributes:
         signal: Number of the signal.
@@ -82,7 +82,7 @@ def encode_crash_note(text: str) -> bytes:
 
 
 def describe_crash(note: bytes, *libraries: Path) -> str:
-    """Explain what has crashed the firmware and where, from the note of a crash; return "" if there is no note.
+    """Explain what has happened and where, from the note of a crash; return "" if there is no note.
 
     Args:
         note: JSON of a `Crash`, or the result of `encode_crash_note`.
@@ -108,7 +108,7 @@ def describe_crash(note: bytes, *libraries: Path) -> str:
 
 
 def _describe_cause(crash: Crash, names: set[str]) -> str:
-    """Explain the cause of a crash of the firmware.
+    """Explain the cause of a crash of the firmware's process.
 
     Args:
         crash: The crash.

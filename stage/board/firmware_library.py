@@ -233,7 +233,7 @@ def _compile(source: Path, command: list[str], platform: platforms.Platform | No
 
 
 def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platform | None) -> str:
-    """Compile and link a firmware library, and return the compiler's messages.
+    """Compile and link a library of firmware or of a device, and return the messages.
 
     Raises:
         CompileError: A source does not compile, or a function is missing that no library of this process has either. The loader
@@ -297,7 +297,7 @@ def _run_compiler(command: list[str]) -> tuple[bool, str]:
 
 
 def _is_loaded(symbol: str) -> bool:
-    """Return whether this process, or a sanitizer that it has preloaded, defines a symbol that a firmware library lacks."""
+    """Return whether this process or a preloaded sanitizer has a symbol that a library lacks."""
     return bool(re.match("__(?:[a-z]{1,2}san_|sanitizer_)", symbol)) or hasattr(ctypes.CDLL(None), symbol)
 
 

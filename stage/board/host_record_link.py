@@ -223,7 +223,7 @@ class Link:
             raise error
 
     def set_error(self, error: BaseException) -> None:
-        """Store an exception raised in a call from compiled code, and stop the bus until it is raised."""
+        """Store an exception, and stop the bus until it is raised."""
         self.record["stopped"] = 1
         if self.error is None:
             self.error = error
@@ -296,7 +296,7 @@ class Link:
         self.stage.run_to(int(h["call_value"]))
 
     def _report_storm(self, h: Any) -> None:
-        """Raise StormError for an interrupt hook that does not clear its interrupt and so would be called forever."""
+        """Raise StormError for an interrupt hook that is called again and again."""
         raise StormError(f"{self.hooks.describe_storm(int(h['call_value']))}\n{self.board.trace.text(8)}")
 
     def _report_refusal(self, h: Any) -> None:

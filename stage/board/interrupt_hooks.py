@@ -168,7 +168,7 @@ class PythonInterruptHooks:
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
     def describe_refusal(self, code: int, a: int, b: int) -> str:
-        """Explain which operand of a host request about interrupts is out of range.
+        """Explain which operand of a host request is out of range.
 
         Args:
             code: Code of the request, | WRONG_LEVEL if its level is out of range.

@@ -122,7 +122,7 @@ class Host:
             raise ArgumentError(f"patience={patience!r}: seconds of real time, more than 0.")
 
     def _connect_uarts(self, wiring: PinWiring) -> None:
-        """Connect the UARTs of the axes' driver chips to serial lines of the firmware.
+        """Connect the UARTs of axes' chips to serial lines of the firmware.
 
         Raises:
             ArgumentError: The firmware does not have one of the serial lines.
@@ -280,7 +280,7 @@ class Host:
         return None if code is None else Result(code, (stage.now - now) * 1e-9, board.cycles - cycles)
 
     def _run_to(self, end: int) -> int | None:
-        """Run the firmware until it returns, until the time `end` (ns), or until the end of a serial line has what it waited for.
+        """Run the firmware until it returns, until the time `end` (ns), or until the other end of a serial line is satisfied.
 
         Returns:
             Exit code of the firmware, or None if it is paused.

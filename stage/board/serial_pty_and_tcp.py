@@ -132,7 +132,7 @@ class PtyEnd(ConnectedEnd):
         self.path = str(link)
 
     def describe(self) -> str:
-        """Describe in words how programs connect to the pseudo-terminal."""
+        """Return the path at which programs connect to the pseudo-terminal."""
         return self.path
 
     def _is_connected(self) -> bool:
@@ -193,7 +193,7 @@ class TcpEnd(ConnectedEnd):
         self.port = int(self._listener.getsockname()[1])
 
     def describe(self) -> str:
-        """Describe in words how programs connect to the TCP port."""
+        """Return the address and the TCP port at which programs connect."""
         return f"{LOCALHOST}:{self.port}"
 
     def _is_connected(self) -> bool:

@@ -36,7 +36,7 @@ COMMANDS = ("send", "expect", "wait", "at", "timeout")
 
 @dataclass(frozen=True)
 class ScriptCommand:
-    """One command of a serial script, which sends or expects bytes on a serial line.
+    """One command of a serial script: send, expect, wait, at or timeout.
 
     Attributes:
         line: Number of its line in the file.

@@ -155,7 +155,7 @@ def compute_slice_end(slice_end, window_begin, begin_fraction):
 
 @hot
 def run_slices(chip_state, row_address, first_slice, run, read_net, compute_input):
-    """Run the rest of a window (the chip time of one physics step) slice by slice.
+    """Run the rest of a window slice by slice. This implements `run_window` for cores without a faster way.
 
     Args:
         chip_state: State of the chip.
@@ -346,7 +346,7 @@ def update_wired_input(chip):
 
 @hot
 def read_status(chip, axis_index):
-    """Return the status word of a chip's axis."""
+    """Return the status word of a chip."""
     return _word(chip.read_status, (chip.at, axis_index))
 
 

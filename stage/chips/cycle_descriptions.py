@@ -119,7 +119,7 @@ class Decoder:
         raise NotImplementedError
 
     def reset(self) -> None:
-        """Forget the writes that wait for later ones, because the reset pin of the chip was asserted."""
+        """Forget all writes, because the reset pin of the chip was asserted."""
 
 
 def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Statement]:

@@ -68,7 +68,7 @@ class Entry(NamedTuple):
     axis: int = 0
 
     def apply(self, core: Any, chip_state: Any) -> None:
-        """Repeat the input that this entry holds on a chip.
+        """Repeat, on a chip, the input that this entry holds.
 
         Args:
             core: Core of the chip's family.

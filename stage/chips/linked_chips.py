@@ -49,7 +49,7 @@ def pack_wire_word(levels, number, pulses):
 
 @hot
 def _combine_outputs(chips, link_number):
-    """Combine the words of all linked chips into one wire word: all their levels, the largest number, the sum of the pulses."""
+    """Combine the words of all chips of a link into one wire word: all their levels, the largest number, the sum of the pulses."""
     levels, maximum, pulses = LINKED, 0, 0
     for i in range(len(chips)):
         if chips[i].link == link_number:

@@ -63,7 +63,7 @@ def add_command(
         p.add_argument("--json", action="store_true", help="print JSON instead of text")
 
     def call(args: argparse.Namespace) -> int:
-        """Run the command of the shell; print the data of its result as JSON if --json is given."""
+        """Run the subcommand, with its facts as JSON if --json is given."""
         args.written_files = []
         return run_as_json(run, args) if json and args.json else run(args)
 

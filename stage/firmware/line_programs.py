@@ -266,7 +266,7 @@ class LinePrograms(ABC):
         return list(chips.values())
 
     def _mark_column_operation(self, program: Program, index_from_end: int, column: int, shift: int = 0) -> None:
-        """Mark an operation of the template program as one that writes a column of the register array.
+        """Mark an operation of the template program as one that writes a column of the numbers given to `_fill_template`.
 
         Args:
             program: Template.

@@ -159,7 +159,7 @@ def _draw_rate_panel(
 
 
 def _label_level(ax: Any, level: float, text: str) -> None:
-    """Draw a horizontal line at a pulse rate, labeled with the rate's name."""
+    """Write the name and value of a rate at its level, to the right of the plot."""
     ax.annotate(
         text, (1, level), xycoords=("axes fraction", "data"), xytext=(5, 0), textcoords="offset points", va="center",
         fontsize=SIZE, color=MUTED_COLOR, annotation_clip=False,

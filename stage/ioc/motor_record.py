@@ -460,7 +460,7 @@ class MotorRecord(PVGroup):
         return 0.0
 
     def _make_tweak(self, sign: int) -> Callable[..., Awaitable[Any]]:
-        """Return the function for puts to TWF or TWR, which move the axis by a step forward or back."""
+        """Return the function for puts to TWF or TWR, which move the axis by TWV forward or back."""
 
         async def put(instance: Any, value: int) -> int:
             if value:
@@ -693,7 +693,7 @@ class MotorRecord(PVGroup):
             await self.set(rps, self.get(field) / self.get("UREV"))
 
     async def _put_ramp(self, instance: Any, value: float) -> float:
-        """Store a ramp: 0 or less becomes the default ramp, as in the real motor record.
+        """Return the ramp to store: 0 or less becomes the default ramp, as in the real motor record.
 
         NaN and infinity are refused.
         """

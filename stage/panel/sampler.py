@@ -186,7 +186,7 @@ class Sampler:
     def take_rows(self, filled: int) -> None:
         """Store the first `filled` rows of samples of the engine's buffers.
 
-        The engine's loop calls this when the buffers are full.
+        The engine's loop calls this when the engine has stopped early, for example because the buffers are full.
         """
         if filled:
             self.filled = 0

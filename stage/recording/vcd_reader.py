@@ -88,7 +88,7 @@ class Changes(NamedTuple):
 
 @dataclass(frozen=True)
 class Capture:
-    """Capture of a logic analyzer: the declarations of its VCD file.
+    """Declarations and bytes of a VCD file.
 
     Attributes:
         path: The file.

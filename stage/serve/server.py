@@ -400,7 +400,7 @@ class Server:
             raise StageError(f"the interrupt hook of the host failed: {self._failed_hook}")
 
     def _end_hook(self, connection: _Connection, body: bytes) -> None:
-        """Handle a frame RETURN of the host, which ends an interrupt hook."""
+        """Handle a frame RETURN of the host, which ends its hook for the interrupt line or a timer."""
         if connection is not self._driver or not self._in_hook:
             self._queue_frame(connection, client.ERROR, 0, client.WORD.pack(0) + b"RETURN: no hook was called.")
             return

@@ -90,7 +90,7 @@ class Switches:
         return [s.pin for s in self._axis.plant.switches]
 
     def as_dict(self) -> dict[str, bool]:
-        """Return the level of every limit switch that the axis has, by name."""
+        """Return the level of every limit or origin switch that is fitted to the axis, by pin name."""
         return {s.pin: getattr(self, s.pin) for s in self._axis.plant.switches}
 
     def list_trip_positions(self) -> dict[str, float]:

@@ -211,7 +211,7 @@ def _pass_loads_to_chips(handle):
 
 @hot
 def _read_motor_currents(handle):
-    """Read the phase currents from the chips that set the currents of their motors."""
+    """Read the amplitudes of the phase currents from the chips that set the currents of their motors."""
     rows = get_drives(handle)
     for a in range(len(rows)):
         t = get_axis_table(handle)[a]

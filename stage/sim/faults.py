@@ -467,7 +467,7 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
 
 
 def _make_bus_fault(where: Axis | Chip, description: str, loses_write: Callable[[int, int], bool]) -> Fault:
-    """Make a fault of the bus that loses writes.
+    """Make a fault of the bus that loses or delays writes.
 
     Args:
         where: Axis whose chip has the fault, or the chip.

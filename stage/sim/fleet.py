@@ -389,7 +389,7 @@ def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, 
 
 
 def _count_processors() -> int:
-    """Return the number of processors (CPU cores) that this process may use."""
+    """Return the number of logical processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

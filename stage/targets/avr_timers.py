@@ -378,7 +378,7 @@ def _note_pwm_outputs(timer, simavr):
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_control(_avr, register, value, timer):
-    """Handle a write of TCCRnA, TCCRnB or ASSR, the control registers of an AVR timer."""
+    """Handle a write of TCCRnA, TCCRnB or ASSR, which set the mode and the clock of an AVR timer."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
     cycle = _get_access_cycle(simavr) + 1
     _update_timer(timer, cycle)

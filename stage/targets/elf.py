@@ -172,7 +172,7 @@ class Elf:
         return segments
 
     def _read_symbols(self, thumb: bool) -> dict[str, int]:
-        """Return the addresses of the program's symbols by name. With `thumb`, bit 0 of a function's address is removed."""
+        """Return the values of symbols by name, and list the functions by address; with `thumb`, without bit 0 in that list."""
         symbols: dict[str, int] = {}
         self._functions: list[tuple[int, str]] = []
         for table in (s for s in self._sections if s["sh_type"] == "SHT_SYMTAB"):

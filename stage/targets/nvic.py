@@ -134,7 +134,7 @@ class Nvic:
     # --- registers ---
 
     def read(self, offset: int) -> int:
-        """Return a register of 32 bits of the interrupt controller (NVIC).
+        """Return a register of 32 bits, of the interrupt controller, SysTick or another part of the Cortex-M.
 
         Args:
             offset: Offset of the register from E0000000h, a multiple of 4.
@@ -170,7 +170,7 @@ class Nvic:
         return sum(1 << n - FIRST - offset * 8 for n in numbers if 0 <= n - FIRST - offset * 8 < 32)
 
     def write(self, offset: int, value: int, size: int, byte: int) -> bool:
-        """Write a register of the interrupt controller (NVIC).
+        """Write a register of the interrupt controller, SysTick or another part of the Cortex-M.
 
         Args:
             offset: Offset of the register.

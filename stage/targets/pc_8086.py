@@ -297,7 +297,7 @@ class Pc(UnicornProcessor):
     # --- ports of the PC ---
 
     def _access_internal_port(self, own: int, port: int, size: int, value: int) -> int:
-        """Make a cycle at a port of the PC itself, below INTERNAL_PORTS.
+        """Make a cycle at a port below INTERNAL_PORTS: of the board if it uses this port, else of the PC itself.
 
         Args:
             own: Address of the MACHINE record.

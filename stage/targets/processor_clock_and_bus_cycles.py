@@ -110,7 +110,7 @@ def _write_port(cpu, size, port, value):
 
 @exported("i4", "i8", "i4", "i4", MACHINE)
 def execute_in(_uc, port, size, cpu):
-    """Execute the 8086 instruction IN at ports of the board. Unicorn calls this."""
+    """Execute the 8086 instruction IN at a port of the PC or of the board. Unicorn calls this."""
     if port < cpu.n_internal_ports:
         return _internal_port(cpu.internal_port, (cpu.own, port, size, -1))
     value = _read_port(cpu, size, port)
@@ -120,7 +120,7 @@ def execute_in(_uc, port, size, cpu):
 
 @exported(None, "i8", "i4", "i4", "i4", MACHINE)
 def execute_out(_uc, port, size, value, cpu):
-    """Execute the 8086 instruction OUT at ports of the board. Unicorn calls this."""
+    """Execute the 8086 instruction OUT at a port of the PC or of the board. Unicorn calls this."""
     if port < cpu.n_internal_ports:
         _internal_port(cpu.internal_port, (cpu.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
         return

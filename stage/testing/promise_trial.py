@@ -108,7 +108,7 @@ class PromiseTrial:
 
 
 def read_counter(chip: Chip, axis: int) -> int:
-    """Read the pulse counter of a chip's axis from its core."""
+    """Read an axis' counter from the core of its chip."""
     return int(chip.CORE.read_counter.with_gil(chip.pointer, axis))
 
 

@@ -52,17 +52,17 @@ class Proof:
 
     @property
     def is_passed(self) -> bool:
-        """True if all moves of the proof were good: in step and without excessive overshoot."""
+        """True if all moves kept step and those with up to the task's payload arrived without excessive overshoot."""
         return self.good_count == self.move_count
 
     @property
     def mean_time(self) -> float:
-        """Mean arrival time of the proof's moves, s."""
+        """Mean arrival time of the proof's moves with up to the task's payload, s."""
         return float(np.mean(self.arrival_times))
 
     @property
     def max_time(self) -> float:
-        """Longest arrival time of the proof's moves, s."""
+        """Longest arrival time of the proof's moves with up to the task's payload, s."""
         return float(np.max(self.arrival_times))
 
 

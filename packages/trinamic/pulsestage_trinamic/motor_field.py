@@ -27,7 +27,7 @@ PLACE_ANGLE = math.pi / 2 / PLACES_PER_FULL_STEP
 
 @hot
 def move_field(c, places, clocks):
-    """Move the motor's field by `places`, 1/256 full steps each, evenly over the next `clocks` clocks, or at once if it is 0."""
+    """Move the field by `places`, 1/256 full steps each, evenly over the next `clocks` clocks, or at once if `clocks` is 0."""
     k = c.moves % HISTORY
     c.moved_at[k], c.moved_by[k], c.moved_in[k] = c.clock, places, clocks
     c.moves += 1

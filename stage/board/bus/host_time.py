@@ -161,7 +161,7 @@ def _copy_words(source, target, words):
 
 @hot
 def _run_until_interrupt(host, interrupt_mask, end):
-    """Advance to `end` (ns), the end of the physics step, or the nanosecond at which one of some interrupt lines is asserted.
+    """Advance to the earliest of `end`, the end of the physics step and the nanosecond at which one of some lines is asserted.
 
     Args:
         host: The HOST record.

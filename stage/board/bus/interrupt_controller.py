@@ -50,7 +50,7 @@ def get_sources(host):
 def _get_hooks(host):
     """Return the HOOK_CALLED records of the board.
 
-    Those in use belong to interrupt hooks that have begun and not returned.
+    Those in use belong to interrupt hooks that have begun and not ended.
     """
     return array_at(host.hooks, HOOKS, HOOK_CALLED)
 

@@ -68,7 +68,7 @@ class Device:
     # --- for users ---
 
     def pull(self, on: bool = True, at: float | None = None) -> None:
-        """Assert the interrupt line by this device, or release it.
+        """Let this device assert the interrupt line, or release it.
 
         Args:
             on: True to assert it, False to release it.

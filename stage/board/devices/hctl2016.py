@@ -33,7 +33,7 @@ class HCTL2016(CompiledDevice):
         return (self.counts[0] - int(self.registers["zero"])) & (1 << self.BITS) - 1
 
     def name_port(self, register: int) -> str:
-        """Return the name of the counter's byte that a port reaches, for traces."""
+        """Return the name of the counter's byte that a port reaches."""
         return ("high byte", "low byte")[register]
 
     def make_describer(self) -> Listener:

@@ -13,7 +13,7 @@ COUNT = np.dtype("i8")
 
 @hot
 def _read_counter(state, counts):
-    """Return the value of the HCTL-2016's counter from the counts of its encoder."""
+    """Return the value of a counter of the HCTL-2016 family from the count of its encoder."""
     return (array_at(counts, 1, COUNT)[0] - state.zero) & (1 << state.bits) - 1
 
 

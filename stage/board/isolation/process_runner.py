@@ -330,7 +330,7 @@ class ProcessRunner:
         self._waited = self._patience + grace
 
         def check() -> None:
-            """Raise an error if the child process has ended, or has made no progress for longer than the host's patience."""
+            """Raise _StalledError if the child has made no progress within the patience and `grace`, unless it is debugged."""
             nonlocal begin
             theirs = self._shared.record[0]
             now = tuple(int(theirs[name]) for name in ("cycles", "reached"))
@@ -390,7 +390,7 @@ class ProcessRunner:
         )
 
     def _describe_crash(self) -> str:
-        """Return the description of the firmware's crash from the note in the shared memory."""
+        """Return the description of the child's crash from the note in the shared memory."""
         devices = (d.loaded for d in self._board.devices if isinstance(d, CDevice))
         return crash_report.describe_crash(self._shared.crash, self._path, *devices)
 

@@ -109,7 +109,7 @@ class ParentCallRequest(NamedTuple):
     The answer is a tuple: result of the call, whether it succeeded, `RunOrder.machine`, `RunOrder.hooks`.
 
     Attributes:
-        noted: Numbers of edges and samples that the child has stored in the shared file so far.
+        noted: Numbers of edges and samples in the shared file that the parent has not read.
         chip: Number of the chip or device; -1 - k for interrupt source k.
         address: Address at the chip, or register of the device.
         value: Value that is written.
@@ -286,18 +286,18 @@ class SharedMemory:
     # --- a crash ---
 
     def note_crash(self, note: bytes) -> None:
-        """Store the note of a crash of the firmware, which `crash_report.describe_crash` reads."""
+        """Store the note of a crash of the child, which `crash_report.describe_crash` reads."""
         self._crash[: min(len(note), CRASH_SIZE)] = note[:CRASH_SIZE]
 
     @property
     def crash(self) -> bytes:
-        """Note of a crash of the firmware, as bytes; empty if there is none."""
+        """Note of a crash of the child, as bytes; empty if there is none."""
         return self._crash.tobytes().rstrip(b"\0")
 
     # --- lines of the log ---
 
     def add_log_line(self, now: int, text: str) -> bool:
-        """Add a line to the log of the firmware; return False if there is no room.
+        """Add a line for the log of the parent's board; return False if there is no room.
 
         Args:
             now: Time, ns.

@@ -105,7 +105,7 @@ def _lint_flag(chip: Any, value: int) -> Iterator[Finding]:
 
 
 def _lint_mode(chip: Any, read_encoder: Callable[[], int], value: int) -> Iterator[Finding]:
-    """Check a write to R05, the mode register of the HCTL-1100."""
+    """Check a write to R05, the program counter, which selects the mode of the HCTL-1100."""
     if value not in MODES.values:
         known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODES.values.items())
         yield UNKNOWN_MODE, f"R05 = {value:02X}h is no mode: {known}"

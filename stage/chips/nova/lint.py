@@ -202,7 +202,7 @@ class LintState:
 
     @property
     def helix_ticks(self) -> int:
-        """HLV of the MCX514: the number of ticks of a helix."""
+        """HLV of the MCX514: the number of ticks of the arc or of a whole turn of a helix."""
         return int(self._axes[0]["reg"][state.HLV])
 
 

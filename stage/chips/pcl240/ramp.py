@@ -152,7 +152,7 @@ def _compute_twice_curved_end_steps(chip):
 
 @hot
 def read_linear_rate(chip, direction):
-    """Return the acceleration rate of a linear ramp: R4 or R5; after the automatic ramp-down point R4 in both directions."""
+    """Return the rate of a linear ramp: R4 or R5; after the automatic ramp-down point R4 in both directions."""
     return chip.reg[4] if direction > 0 or chip.ramp_down_due else chip.reg[5]
 
 

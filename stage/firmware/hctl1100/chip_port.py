@@ -68,7 +68,7 @@ class ChipPort:
 
     @property
     def sample(self) -> float:
-        """Sample time of the HCTL-1100, s: one execution of its control law."""
+        """Sample time of the HCTL-1100, s: from one execution of its control law to the next."""
         return self.count * (self.t + 1)
 
     def write_numbers(self, **values: int) -> None:

@@ -452,7 +452,7 @@ class _EndLimitReached(Exception):
 
 
 def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, on_row: Callable[[], None]) -> bool:
-    """Write the command positions of a servo line. If an end limit stops one axis, slow the others down along the line.
+    """Write the command positions of a line of servo axes. If an end limit stops one axis, slow the others down along the line.
 
     Args:
         ports: Ports of the axes.

@@ -312,7 +312,7 @@ def run_in_proportional_velocity_mode(port: ChipPort, rate: float, seconds: floa
     port.set_control_mode("proportional velocity")
 
     def turn(value: int) -> None:
-        """Write the command velocity of the motor, counts per sample."""
+        """Write the command velocity of the motor, in sixteenths of a count per sample."""
         port.wait_for_safe_part("proportional velocity")
         port.write_numbers(proportional_velocity=value)
 

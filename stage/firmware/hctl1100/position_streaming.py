@@ -24,7 +24,7 @@ from stage.firmware.hctl1100.chip_port import SAFE_MARGIN_COUNTS, ChipPort
 
 @dataclass(frozen=True)
 class StreamReport:
-    """Report of command positions that were streamed to servo axes, one row in each sample.
+    """Report of command positions that were streamed to servo axes.
 
     Attributes:
         commands: Number of command positions written to each axis.

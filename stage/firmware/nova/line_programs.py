@@ -55,7 +55,7 @@ class NovaLinePrograms(LinePrograms):
         driver.map.check_value(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
 
     def _add_register_column(self, program: Program, driver: NovaDriver, name: str, column: int) -> None:
-        """Add the write of a register whose value comes from a column of the register array to a program.
+        """Add the write of a register whose value is a column of the numbers given to `_fill_template`.
 
         Args:
             program: Template of the programs.
@@ -113,7 +113,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
         return np.array(rows, np.int64)
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Multiply the registers of the longest axis by factors from 1/2 to 2.
+        """Multiply the registers of the main axis by factors from 1/2 to 2.
 
         The chip keeps the axes on the line with any registers, so a correction moves no axis along the line.
         """

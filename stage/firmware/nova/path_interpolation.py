@@ -98,7 +98,7 @@ PathSegment = LineSegment | ArcSegment | HelixSegment
 
 @dataclass(frozen=True)
 class PathReport:
-    """Report of a path that axes of an MCX514 have followed.
+    """Report of a path that axes of an MCX514 or MCX512 have followed.
 
     Attributes:
         seconds: Time from the first segment's command to the end.
@@ -114,7 +114,7 @@ class PathReport:
 
     @property
     def ok(self) -> bool:
-        """Whether no error bit of the MCX514 is set after the path."""
+        """Whether no error bit of the path's axes is set after the path."""
         return not any(self.errors.values())
 
     def __str__(self) -> str:
@@ -152,7 +152,7 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
     begin = main.axis.time
 
     def wait_while(bits: int, value: int) -> int:
-        """Poll RR0 while the MCX514 drives and the bits `bits` of RR0 equal `value`; return the last RR0."""
+        """Poll RR0 while the chip drives and the bits `bits` of RR0 equal `value`; return the last RR0."""
         while (status := main.chip.read(0)) & DRIVING and status & bits == value:
             if not main.axis.time - begin <= timeout:
                 stop_axes(ports)

@@ -180,7 +180,7 @@ def handle_stop_signal_timer(port: ChipPort) -> bool:
 def _end_runaway(port: ChipPort, causes: int) -> bool:
     """Write command 27h (instant stop) if a cause of a stop is set and the axis drives with ASND = CNST = DSND = 0.
 
-    Return if so.
+    Return whether it was written.
     """
     status = port.read_status_register(1)
     if not status & causes or status & PHASES or not port.is_driving():

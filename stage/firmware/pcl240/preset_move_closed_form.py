@@ -65,7 +65,7 @@ def compute_twice_curved_end_steps(r14, steps):
 
 @hot
 def set_s_curve_registers(row, share):
-    """Set R14 and R15 of a row for S-curve ramps from R1 to R2, if the chip has these registers; without FH correction.
+    """Set R14 and R15 of a row for ramps from R1 to R2, linear or S-curves, if the chip has these registers; without FH correction.
 
     Args:
         row: Row of registers.

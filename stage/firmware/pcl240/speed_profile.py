@@ -322,7 +322,7 @@ class Profile:
         return replace(self, R4=r4, R5=r5, spans=spans)
 
     def for_chip(self, chip: type[PCL240]) -> Profile:
-        """Return the profile with the registers of another chip of the PCL-240 family.
+        """Return the profile for another chip of the PCL-240 family.
 
         Raises:
             ArgumentError: The profile does not fit the chip; the message names the register.

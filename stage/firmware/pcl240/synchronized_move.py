@@ -190,7 +190,7 @@ def _find_clock_arguments(moving: Mapping[str, Axis]) -> dict[str, Any]:
 
 
 def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
-    """Raise ArgumentError if the plan expects another R7 of the leader whose clock a follower's chip counts."""
+    """Raise ArgumentError if the plan of a follower has another R7 than the leader whose clock the follower's chip counts."""
     clocks = _find_clock_arguments({n: selected[n][0] for n in line_plan.axes})
     for n, a in line_plan.axes.items():
         leaders = [m for m in line_plan.axes if selected[m][0].chip is getattr(selected[n][0].chip, "syni", None)]

@@ -196,7 +196,7 @@ def advance_lanes(
         words: Records of all lanes as words, see `LaneLayout`.
         rows: Row of each lane, see `LaneLayout`.
         axis_numbers: Number of each axis of a lane in the stage.
-        places: Indices at which axes and switches stand in the arrays of mujoco-warp.
+        places: AXIS_PLACE record of each axis of the stage: its lane, its number there, and its indices in qpos and qvel.
         tables: AXIS_TABLE rows of each lane.
         switch_tables: SWITCH_TABLE rows of each lane.
         clockworks: One CLOCKWORK.

@@ -175,7 +175,7 @@ class MethodRun:
 
     @property
     def lucky_moves(self) -> int:
-        """Number of moves of the search with a higher reward than the answer, which failed in the proof."""
+        """Number of proved moves that rank above the answer by their reward in the search; all of them if none holds."""
         return list(self.proof_logs).index(self.answer) if self.answer is not None else len(self.proof_logs)
 
     @property
@@ -206,7 +206,7 @@ class MethodRun:
 
     @property
     def reward_excess(self) -> float:
-        """Mean reward of the moves of the proof minus that of the test's, in ms of move time: a reward of 1 stands for 1 s."""
+        """Mean reward of the answer's proof minus that of its test, in ms of move time: a reward of 1 stands for 1 s."""
         return (
             1e3 * float(np.mean(self.proof_logs[self.answer].reward)) - self.compute_mean("reward")
             if self.answer is not None
@@ -390,7 +390,7 @@ class MethodRuns:
         )
 
     def run_all(self, keep: Path | None) -> None:
-        """Make the runs of all methods that are missing.
+        """Make the missing runs of all methods.
 
         Args:
             keep: File to which all runs are written after each run, or None.

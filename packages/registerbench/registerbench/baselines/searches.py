@@ -16,7 +16,7 @@ from registerbench.baselines.move_tuning import MoveTuning, run_command_line
 
 
 def search_randomly(moves: MoveTuning, seed: int = 0) -> None:
-    """Spend the budget of moves on random choices of registers.
+    """Spend the budget of moves on random choices of knobs or registers.
 
     Args:
         moves: Move that is tuned.

@@ -40,7 +40,7 @@ def _process_chip_event(c):
 
 @hot
 def _follow_lines(c, before):
-    """Let the TMC2209 react to changed levels of STEP, DIR and the other lines.
+    """Let the TMC2209 make the steps at STEP, with DEDGE also at a falling edge.
 
     `before` is the word of levels before the change.
     """
@@ -51,7 +51,7 @@ def _follow_lines(c, before):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(c, axis_index, net_before, clocks):
-    """Return the mean of the net step count over the last `clocks` clocks of the axis."""
+    """Return the mean place of the interpolated field over the last `clocks` clocks, in microsteps of the axis' Drive."""
     return motor_field.compute_mean_position(c, clocks) / c.unit
 
 
@@ -103,7 +103,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value of a TMC2209 register, even if a host cannot read it."""
+    """Return the value of a register of the TMC2209 or of its step timer, even if a host cannot read it."""
     if address >= maps.REGISTER_BASE:
         return register_file.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
@@ -178,7 +178,7 @@ def set_load(c, axis_index, angle, emf):
 
 @exported(None, STATE, "i8", "i8")
 def set_fixed_load(c, lam, emf):
-    """Set the motor load that StallGuard4 measures, 0 to 1024 each, of a chip that is not on a stage."""
+    """Set the load and the EMF of the motor, 0 to 1024 each, of a chip that is not on a stage."""
     c.lam, c.emf = lam, emf
 
 

@@ -76,7 +76,7 @@ def compute_ramp_stat(c):
 
 @hot
 def compute_drv_status(c):
-    """Return DRV_STATUS, the TMC5160's register of driver and StallGuard flags."""
+    """Return DRV_STATUS, the TMC5160's register of driver flags, current scale and StallGuard result."""
     word = c.sg | c.cs << 16 | c.stall << 24
     word |= 1 << 14 if speed_thresholds.is_stealth_chop_active(c) else 0
     word |= 1 << 15 if c.speeds & state.HIGH and c.reg[state.CHOPCONF] & state.VHIGHFS else 0
@@ -173,7 +173,7 @@ def read_register(c, address):
 
 @hot
 def write_register(c, address, value):
-    """Write a register of the TMC5160. It takes effect at the next clock; the flags of the position change at once."""
+    """Write a register of the TMC5160. The value takes effect at the next clock; the flags of the position change at once."""
     value &= maps.STORED_BITS[address]
     if maps.STORED_BITS[address] == 0:
         return

@@ -41,7 +41,7 @@ __all__ = [
 
 @hot
 def _halt_and_renew_thresholds(c):
-    """Stop the motor at once. The speed thresholds see the speed 0 at the next clock, not at this one."""
+    """Stop the ramp at once. The speed thresholds see the speed 0 at the next clock, not at this one."""
     ramp.halt_ramp(c)
     c.fresh = 1
 
@@ -249,7 +249,7 @@ def set_load(c, axis_index, angle, emf):
 
 @exported(None, STATE, "i8", "i8")
 def set_fixed_load(c, lam, emf):
-    """Set the motor load that StallGuard measures, 0 to 1024 each, of a chip that is not on a stage."""
+    """Set LAM and EMF, the motor's load and back EMF, 0 to 1024 each, of a chip that is not on a stage."""
     stallguard.set_fixed_load(c, lam, emf)
 
 
@@ -282,7 +282,7 @@ def read_pulse_rate(c, axis_index, clock_hz):
 
 @exported("i8", STATE, "i8")
 def read_counter(c, axis_index):
-    """Return XACTUAL, the TMC5160's actual position in 1/256 full steps."""
+    """Return XACTUAL, the TMC5160's actual position in microsteps of 2^MRES/256 full step."""
     return c.x & M32
 
 

@@ -47,7 +47,7 @@ def get_vstop_speed(c):
 
 @hot
 def compute_distance_to_target(c):
-    """Return XTARGET - XACTUAL, the TMC5160's distance to its target in 1/256 full steps."""
+    """Return XTARGET - XACTUAL, the TMC5160's distance to its target in steps of 2^MRES of 1/256 full step."""
     return state.to_signed32(c.target - c.x)
 
 

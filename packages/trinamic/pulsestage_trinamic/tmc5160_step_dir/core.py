@@ -25,7 +25,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 @hot
 def _follow_lines(c, before):
-    """Let the TMC5160 react to changed STEP, DIR and enable levels; `before` is the word of the input levels before the change."""
+    """Let the TMC5160 make the steps at STEP, with DEDGE also at a falling edge; `before` is the word of levels before."""
     if before & ~c.inputs & STEP and c.driver[0].reg[chip.CHOPCONF] & state.DEDGE:
         count_step(c, True)
     sequencer_connection.follow_steps(c)
@@ -33,7 +33,7 @@ def _follow_lines(c, before):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(c, axis_index, net_before, clocks):
-    """Return the mean of the net step count over the last `clocks` clocks of the axis."""
+    """Return the mean position of the motor's field over the last `clocks` clocks of the axis, in microsteps of its Drive."""
     return motor_field.compute_mean_position(c, clocks) / c.unit
 
 
@@ -86,7 +86,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def get_register_value(c, address):
-    """Return the value of a TMC5160 register, even if a host cannot read it."""
+    """Return the value of a register of the step timer or of the TMC5160, even if a host cannot read it."""
     if address >= maps.REGISTER_BASE:
         return sequencer_connection.get_register_value(c, address - maps.REGISTER_BASE)
     return step_timer.read_register(c, address)
@@ -155,7 +155,7 @@ def set_load(c, axis_index, angle, emf):
 
 @exported(None, STATE, "i8", "i8")
 def set_fixed_load(c, lam, emf):
-    """Set the motor load that StallGuard2 measures, 0 to 1024 each, of a chip that is not on a stage."""
+    """Set LAM and EMF, the motor's load and back EMF, 0 to 1024 each, of a chip that is not on a stage."""
     stallguard.set_fixed_load(c.driver[0], lam, emf)
 
 

@@ -129,7 +129,7 @@ def _describe_crash(libc: Any, calls: Any, number: int, info: int, context: int)
     """Read from the records of a signal what has happened."""
 
     def word(at: int) -> int:
-        """Return the 64-bit word at an offset of the signal's context, which holds the processor's registers."""
+        """Return the 64-bit word at an address."""
         return int(ctypes.c_uint64.from_address(at).value)
 
     places = _CONTEXT.get(platform.machine(), {})

@@ -344,7 +344,7 @@ def compute_shift(state, operation, left, count, size):
 
 @hot
 def change_bit(state, operation, left, number, size):
-    """Copy one bit to the carry flag, and set, reset or invert it, as the x86 instructions BT, BTS, BTR and BTC do."""
+    """Copy one bit to the carry flag, and set, reset or invert that bit, or leave it: the x86 instructions BTS, BTR, BTC and BT."""
     one = 1 << number
     _set_flags(state, CF, left >> number & 1 == 1, False, 0)
     if operation == x86.BT:
@@ -514,7 +514,7 @@ def _read_opcode(state):
 def _read_immediate(state, length_code, size):
     """Read the immediate number in an x86 instruction.
 
-    `length_code` is the code of its length `n` in an OPCODE record.
+    `length_code` is the field `immediate` of the instruction's OPCODE record.
     """
     if length_code:
         state.immediate = read_code(

@@ -74,7 +74,7 @@ MEMBERS = (
 
 
 def _make_table() -> np.ndarray:
-    """Build the table of OPCODE records, one for each x86 opcode that the x86 interpreter executes."""
+    """Build the table of OPCODE records of the x86 interpreter: for opcodes, and for the members of groups behind them."""
     table = np.zeros(GROUPS + 8 * (GROUP_DONE - GROUP), OPCODE)
 
     def put(opcode: int, operation: int, target: int, source: int, size: int, source_size: int, immediate: int) -> None:

@@ -153,7 +153,7 @@ def _write_parameter(chip, axis, code, value):
 
 @hot
 def _execute_read_command(chip, code):
-    """Execute a data reading command, which copies a register of an axis to RR6 and RR7."""
+    """Execute a data reading command, which puts a value of an axis or of the chip into RR6 and RR7."""
     axis = chip.ax[find_lowest_axis(chip)]
     place = PLACES[code]
     if code == R_TX:

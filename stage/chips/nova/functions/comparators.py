@@ -52,7 +52,7 @@ def _is_comparison_true(chip, axis, set_index):
 
 @hot
 def _find_true_comparisons(chip, axis):
-    """Return the comparisons with MR registers that are true now, as bits."""
+    """Return the comparisons of an axis that are true now, as bits."""
     word = 0
     if chip.variant == MCX514_TYPE:
         for m in range(MR_COUNT):
@@ -66,14 +66,14 @@ def _find_true_comparisons(chip, axis):
 
 @hot
 def reset_comparisons(chip, axis):
-    """Note the comparisons with MR registers that are true after a reset, so that they do not count as events."""
+    """Note the comparisons of an axis that are true after a reset, so that they do not count as events."""
     axis.comparison_events = 0
     axis.true_comparisons = _find_true_comparisons(chip, axis)
 
 
 @hot
 def update_comparisons(chip, axis):
-    """Note an event for each comparison with an MR register that has become true."""
+    """Note an event for each comparison of an axis that has become true."""
     now = _find_true_comparisons(chip, axis)
     new = now & ~axis.true_comparisons
     axis.true_comparisons = now
@@ -111,7 +111,7 @@ def _count_pulses_to(counter, direction, value):
 
 @hot
 def count_pulses_to_change(chip, axis):
-    """Return the number of pulses of the axis' drive until a comparison with an MR register may change."""
+    """Return the number of pulses of the axis' drive until a comparison with LP may change."""
     distance = NEVER
     if chip.variant != MCX514_TYPE:
         if not axis.soft_rp:

@@ -37,7 +37,7 @@ def stop_split_pulses(chip, axis):
 
 @hot
 def _begin_split_pulse(axis):
-    """Begin one split pulse. A new value of SP1, the register of its period, takes effect in the next cycle."""
+    """Begin one split pulse. A new value of SP1, its cycle and width, takes effect in the next cycle."""
     cycle = greatest(axis.reg[SP1] & 0xFFFF, 2)
     width = least(greatest(axis.reg[SP1] >> 16 & 0xFFFF, 1), cycle - 1)
     axis.split_output = 1

@@ -241,7 +241,7 @@ def run_due_synchronous_actions(chip, axis_index):
 
 @hot
 def count_pulses_to_event(chip, axis):
-    """Return the number of pulses of the drive until a comparison with an MR register or the split pulse changes."""
+    """Return the number of pulses of the drive until a comparison or the split pulse changes."""
     return least(compare.count_pulses_to_change(chip, axis), split_pulse.count_pulses_to_edge(axis))
 
 

@@ -84,7 +84,7 @@ def step_helix(interpolation, segment):
 
 @hot
 def _count_ticks(arc, segment, is_turn):
-    """Count the ticks of a whole turn of a helix or of its arc, and those that move both axes."""
+    """Count the ticks of a whole turn or of the arc of a segment, and those that move both axes."""
     if not _begin_arc_or_turn(arc, segment, is_turn):
         return 0, 0
     return circular.count_arc_ticks(arc, arc.x * arc.x + arc.y * arc.y)
@@ -126,7 +126,7 @@ def compute_inner_ticks(arc, segment, hlv):
 
 @hot
 def calculate_hlv(arc, segment):
-    """Calculate HLV, the MCX514's register with the ticks of a helix, limited to the range of the register.
+    """Calculate HLV, the number of ticks of the arc or of a whole turn of a helix, limited to the range of its register.
 
     Args:
         arc: State of an arc, which the function overwrites.

@@ -202,7 +202,7 @@ def is_loading_pattern(chip):
 
 @hot
 def compute_status_bits(chip):
-    """Compute the status of the MCX312's interpolation: I-DRV, CNEXT, ZONE and BPSC, bits of RR0."""
+    """Compute the interpolation status of the MCX312 or MCX314As: I-DRV, CNEXT, ZONE and BPSC, bits of RR0."""
     interpolation = chip.ip
     word = _count_pattern_sets(chip) << BPSC
     if chip.interpolating:

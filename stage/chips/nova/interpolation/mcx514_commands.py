@@ -29,7 +29,7 @@ VECTOR_AXES = (0, 2, 3, 2)
 
 @hot
 def execute_command(chip, code):
-    """Execute an interpolation command of the MCX514, 60h to 6Fh or 7Ch."""
+    """Execute an interpolation command of the MCX514 or MCX512, 60h to 6Fh or 7Ch."""
     ip = chip.ip
     if code in (DECEN, DECDIS):
         ip.deceleration_enabled = 1 if code == DECEN else 0
@@ -115,7 +115,7 @@ def _load_circle(chip, queued_segment, ipm, clockwise):
 
 @hot
 def _load_segment(chip, code):
-    """Execute a segment command of the MCX514, 60h to 6Ah: start the segment, queue it, or refuse it."""
+    """Execute a segment command of the MCX514 or MCX512, 60h to 6Ah: start the segment, queue it, or refuse it."""
     word = chip.ax[0].mode[IPM]
     mask = word & ENABLE_BITS
     count = _count_axes(mask)
@@ -201,7 +201,7 @@ def read_maximum_finish_point(chip):
 
 @hot
 def compute_status_bits(chip):
-    """Compute the MCX514's status of the interpolation: ZONE, CNEXT and SC, bits of RR0."""
+    """Compute the status of the interpolation: ZONE, CNEXT and SC, bits of RR0 of the MCX514 and MCX512."""
     interpolation = chip.ip
     if not chip.interpolating:
         return 0

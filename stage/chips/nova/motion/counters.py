@@ -11,7 +11,7 @@ PULSE = 1  # RR3 of the older chips
 
 @hot
 def _wrap_counter(value, maximum):
-    """Return the value of a position counter that wraps from `maximum` to 0, or at 32 bits with a sign without a maximum."""
+    """Return the value of a position counter that wraps from `maximum` to 0, or without a maximum at 32 bits with a sign."""
     if maximum != NO_MAXIMUM:
         return value % (maximum + 1)
     return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)

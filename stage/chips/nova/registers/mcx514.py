@@ -89,7 +89,7 @@ _PAGES = {"DV": "S", "TX": "D"}
 
 
 def _make_read_commands(registers: tuple[Register, ...]) -> tuple[ChipCommand, ...]:
-    """Return the commands 30h to 49h, by which a host reads registers of an axis."""
+    """Return the commands 30h to 49h, by which a host reads registers of the chip or of an axis."""
     present = {r.name for r in PRESENT}
     back = [r for r in registers if r.name in READ_CODES]
     found = [
