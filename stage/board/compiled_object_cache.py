@@ -38,10 +38,12 @@ class CompiledObjectCache:
 
     Args:
         temporary: Folder of translated sketches and of files that are removed after the build.
+        compiler: The compiler, perhaps with a program before it, as in "ccache g++".
     """
 
-    def __init__(self, temporary: Path):
-        self._temporary = str(temporary)
+    def __init__(self, temporary: Path, compiler: str):
+        self._temporary, self._compiler = str(temporary), compiler
+        self._digests: dict[Path, str] = {}
         self._folder: Path | None = None
         try:
             root = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
@@ -88,7 +90,7 @@ class CompiledObjectCache:
         }
         parts = [
             self._hide(" ".join(command)), hashlib.sha256(source.read_bytes().replace(self._temporary.encode(), b"")).hexdigest(),
-            names, str(Path.cwd()), _describe_compiler(command[0]), [os.environ.get(name) for name in VARIABLES],
+            names, str(Path.cwd()), describe_compiler(self._compiler), [os.environ.get(name) for name in VARIABLES],
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode(errors="surrogateescape")).hexdigest()
 
@@ -96,7 +98,9 @@ class CompiledObjectCache:
         """Return the messages of the compiler about an object file that can be used as it is, or None."""
         try:
             description = json.loads(target.with_suffix(".json").read_text(encoding="utf-8"))
-            is_current = all(_digest(Path(self._show(name))) == digest for name, digest in description["files"].items())
+            is_current = all(
+                self._compute_digest(Path(self._show(name))) == digest for name, digest in description["files"].items()
+            )
         except (OSError, ValueError, KeyError):
             return None
         if not (is_current and object_file_cache.is_intact(target)):
@@ -111,7 +115,7 @@ class CompiledObjectCache:
         )
         names = [name.replace("\\ ", " ") for name in re.split(r"(?<!\\)\s+", text) if name]
         description = {
-            "files": {self._hide(name): _digest(Path(name)) for name in names},
+            "files": {self._hide(name): self._compute_digest(Path(name)) for name in names},
             "message": self._hide(message),
         }
         self._remove_oldest()
@@ -119,6 +123,12 @@ class CompiledObjectCache:
         part = target.with_suffix(f".{os.getpid()}.part")
         part.write_text(json.dumps(description), encoding="utf-8")
         part.replace(target.with_suffix(".json"))
+
+    def _compute_digest(self, path: Path) -> str:
+        """Return the digest of a file's content; a header that many sources include is read once."""
+        if path not in self._digests:
+            self._digests[path] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return self._digests[path]
 
     def _remove_oldest(self) -> None:
         """Remove the oldest third of the files in the cache if there are too many."""
@@ -137,11 +147,6 @@ class CompiledObjectCache:
 
 
 @functools.cache
-def _describe_compiler(compiler: str) -> str:
-    """Return the version of a compiler, in its own words."""
-    return run_program([compiler, "--version"]).stdout
-
-
-def _digest(path: Path) -> str:
-    """Return the digest (a hexadecimal text) of a file's content."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def describe_compiler(compiler: str) -> str:
+    """Return what a compiler prints about its version. The compiler may have a program before it, as in "ccache g++"."""
+    return run_program([*compiler.split(), "--version"]).stdout

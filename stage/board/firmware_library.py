@@ -179,7 +179,7 @@ def build(
         sources_to_link: Sequence[str] = recipe.files
         if recipe.cplusplus and compiled_object_cache.can_cache(flags):
             command = [*name.split(), "-c", *more, *_select_compiler_flags(flags)]
-            compiled = _compile_cplusplus(recipe.files, command, Path(folder), files[0], target)
+            compiled = _compile_cplusplus(recipe.files, name, command, Path(folder), files[0], target)
             sources_to_link = [str(path) for path, _ in compiled]
             messages += [message for _, message in compiled]
         command = [
@@ -192,12 +192,18 @@ def build(
 
 
 def _compile_cplusplus(
-    sources: Sequence[str], command: list[str], folder: Path, main: Path, platform: platforms.Platform | None
+    sources: Sequence[str],
+    compiler: str,
+    command: list[str],
+    folder: Path,
+    main: Path,
+    platform: platforms.Platform | None,
 ) -> list[tuple[Path, str]]:
     """Compile sources in C++ that have changed since they were compiled last, several at a time.
 
     Args:
         sources: The sources.
+        compiler: The compiler as it is called, without options.
         command: Compiler with its options.
         folder: Folder for temporary files.
         main: Source that errors name.
@@ -206,7 +212,7 @@ def _compile_cplusplus(
     Returns:
         Object file and messages of the compiler of each source.
     """
-    cache = compiled_object_cache.CompiledObjectCache(folder)
+    cache = compiled_object_cache.CompiledObjectCache(folder, compiler)
 
     def compile_source(numbered: tuple[int, str]) -> tuple[Path, str]:
         k, source = numbered
@@ -357,8 +363,7 @@ def _list_flags_for_statics(compiler: str) -> tuple[str, ...]:
 
     Without it, static variables of inline functions and templates are shared among all copies in a process, even of different runs.
     """
-    message = run_program([*compiler.split(), "--version"]).stdout
-    return (_GCC_FLAG,) if "Free Software Foundation" in message else ()
+    return (_GCC_FLAG,) if "Free Software Foundation" in compiled_object_cache.describe_compiler(compiler) else ()
 
 
 def _list_files(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
