@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pulsestage_trinamic import common_power_stage
 from pulsestage_trinamic.tmc2209 import maps, power_stage, state
-from pulsestage_trinamic.tmc5160.microstep_sequencer import get_table_current
+from pulsestage_trinamic.tmc5160.microstep_sequencer import compute_current_word
 from stage.chips.stepdir.state import DIR, ENABLE, STEP
 from stage.native import hot, least
 
@@ -98,7 +98,7 @@ def get_register_value(c, register):
     if register == state.MSCNT:
         return c.mscnt
     if register == state.MSCURACT:
-        return get_table_current(c.mscnt) & 0x1FF | (get_table_current(c.mscnt + 256) & 0x1FF) << 16
+        return compute_current_word(c.mscnt)
     if register == state.DRV_STATUS:
         return _compute_drv_status(c)
     if register == state.PWM_SCALE:

@@ -155,10 +155,7 @@ def get_register_value(c, address):
     if address == state.MSCNT:
         return c.mscnt
     if address == state.MSCURACT:
-        return (
-            microstep_sequencer.get_table_current(c.mscnt) & 0x1FF
-            | (microstep_sequencer.get_table_current(c.mscnt + 256) & 0x1FF) << 16
-        )
+        return microstep_sequencer.compute_current_word(c.mscnt)
     if address == state.DRV_STATUS:
         return compute_drv_status(c)
     if address == state.PWM_AUTO:

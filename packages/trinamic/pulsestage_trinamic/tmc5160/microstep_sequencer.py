@@ -55,8 +55,14 @@ def make_steps(c, steps, clock):
 
 
 @hot
-def get_table_current(mscnt):
-    """Return CUR_A of the default microstep table."""
+def compute_current_word(mscnt):
+    """Compute MSCURACT, the currents of both coils by the default microstep table: sine in bits 8..0, cosine in bits 24..16."""
+    return _get_table_current(mscnt) & 0x1FF | (_get_table_current(mscnt + 256) & 0x1FF) << 16
+
+
+@hot
+def _get_table_current(mscnt):
+    """Return the current of the default microstep table at a microstep count."""
     mscnt &= 1023
     if mscnt >= 512:
         return -_get_table_entry(mscnt - 512) - 1
