@@ -203,7 +203,7 @@ def test_a_point_is_one_that_each_stage_of_the_fleet_has(first):
     for point in (bare.model.nsite, 1 - bare.model.nbody):
         fleet.play([Program().sample_position(0, point)] * 2)
     for point in (bare.model.nsite + 1, -bare.model.nbody):
-        with pytest.raises(ArgumentError, match="program 0, operation 0: LOOK"):
+        with pytest.raises(ArgumentError, match="program 0, operation 0: SAMPLE_POSITION"):
             fleet.play([Program().sample_position(0, point)] * 2)
 
 

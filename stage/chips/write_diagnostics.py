@@ -69,7 +69,7 @@ class Diagnostic(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """What has broken the rule of a diagnostic.
+    """Cause of a diagnostic: the kind of input that broke the rule, and how often.
 
     Attributes:
         kind: "bus write", "edge" (of a line), "datagram" (of a UART) or "setting" (registers whose values do not fit together).

@@ -27,7 +27,7 @@ from stage.sim.program import (
     AWAIT_STOP_OR_LOST_STEP,
     END,
     MEASURE,
-    NAMES,
+    OPERATION_NAMES,
     READ,
     SAMPLE_POSITION,
     WAIT,
@@ -361,7 +361,7 @@ def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, 
     """
     kind, a = operations[:, :, 0], operations[:, :, 1]
     last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
-    bad = (kind < 0) | (kind >= len(NAMES))
+    bad = (kind < 0) | (kind >= len(OPERATION_NAMES))
     bad |= np.isin(kind, AXIS_OPERATIONS) & ((a < 0) | (a >= len(axes)))
     bad |= np.isin(kind, (AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP)) & (
         (a < 0) | (a >= 1 << len(axes)) | (operations[:, :, 2] < 1)
@@ -377,7 +377,7 @@ def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, 
     if bad.any():
         k, j = (int(n) for n in np.argwhere(bad)[0])
         op = operations[k, j].tolist()
-        name = NAMES[op[0]] if 0 <= op[0] < len(NAMES) else "unknown operation"
+        name = OPERATION_NAMES[op[0]] if 0 <= op[0] < len(OPERATION_NAMES) else "unknown operation"
         point = (
             f" A point is 1 + the index of a site, up to {site_count}, or - that of a body, from {1 - body_count} on."
         )

@@ -34,8 +34,10 @@ from stage.support.argument_checks import WrongType, explain_arguments
 if TYPE_CHECKING:
     from stage.chips import Chip
 
-NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK", "KEEP")  # in error messages
-END, WRITE, READ, WAIT, AWAIT_STOP, MEASURE, SAMPLE_POSITION, AWAIT_STOP_OR_LOST_STEP = range(8)
+OPERATION_NAMES = (
+    "END", "WRITE", "READ", "WAIT", "AWAIT_STOP", "MEASURE", "SAMPLE_POSITION", "AWAIT_STOP_OR_LOST_STEP",
+)  # fmt: skip
+END, WRITE, READ, WAIT, AWAIT_STOP, MEASURE, SAMPLE_POSITION, AWAIT_STOP_OR_LOST_STEP = range(len(OPERATION_NAMES))
 MAX_AXES = 62  # bits of a mask
 
 

@@ -189,7 +189,7 @@ def get_bit_mask(word: str, *names: str) -> int:
 
 
 def open_ports(axes: tuple[Axis, ...]) -> list[ChipPort]:
-    """Open the ports of axes of one MCX514, in the order of the axes on the chip.
+    """Open the ports of axes of one MCX514 or MCX512, in the order of the axes on the chip.
 
     Args:
         axes: Axes.

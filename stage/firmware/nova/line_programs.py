@@ -71,7 +71,7 @@ class NovaLinePrograms(LinePrograms):
 
 
 class InterpolatedLinePrograms(NovaLinePrograms):
-    """Lines by interpolation. The only row has the speeds of the main axis, which is the longest one.
+    """Lines by interpolation. The only row has the speeds of the main axis, the lowest axis of the chip.
 
     The chip keeps all axes on the line, so the user chooses only speeds at which the carriages can follow. The finish points are
     the distances.

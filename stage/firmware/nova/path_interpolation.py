@@ -125,7 +125,7 @@ class PathReport:
 
 @exclusive
 def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, timeout: float = 60.0) -> PathReport:
-    """Move two to four axes of one MCX514 along segments, without a stop between them.
+    """Move two to four axes of one MCX514, or both of an MCX512, along segments without a stop between them.
 
     Args:
         segments: Lines, arcs and helices.
