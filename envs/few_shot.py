@@ -23,7 +23,10 @@ reward        the sum of
                        answer="last", the costs of the last attempt and of the one before it count, each at most two usual times
               damage   - damage_weight if a step was lost, or an end limit hit
               proof    after the last attempt: minus what was gained by attempts that fail in the proof
-              Without damage, the sum is log(2 x usual time / cost of the best proved attempt), or 0.
+              deposit  minus the value of a move at the highest drive rate from start to stop, which no attempt reaches: charged
+                       with the first attempt, and given back with the proof. A player that leaves an episode before its proof
+                       (TimeLimit) therefore keeps nothing of gains that no proof has confirmed
+              Without damage, the sum of an episode is log(2 x usual time / cost of the best proved attempt), or 0.
               The usual time is that of the driver's usual speeds (1000 to 16,000 pps in 0.15 s), which every machine here can do.
 episode       `tries` attempts, then terminated.
 score         time: s, the proved cost. formula: the engineer's (stage.tune.formula) for the split's heaviest payload, closed form.
@@ -134,7 +137,7 @@ class FewShotTuning(MachineTask[Config]):
     Config: ClassVar[type] = Config
     OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *machine_contexts.OPTIONS)
     """Options of a reset, which replace drawn values of the move and the machine."""
-    PARTS = ("gain", "damage", "proof")
+    PARTS = ("gain", "damage", "proof", "deposit")
     STATE: ClassVar[tuple[str, ...]] = (
         "distance",
         "context",
@@ -351,6 +354,11 @@ class FewShotTuning(MachineTask[Config]):
         """Compute the value of a move from its cost: log(two usual times / cost); 0 for a cost above two usual times."""
         return np.maximum(portable_math.log(2 * self.usual_times_s) - portable_math.log(cost), 0.0)
 
+    @property
+    def _deposit(self) -> np.ndarray:
+        """Largest value that a move of each stage can have, (n,): it makes all its pulses at the highest drive rate."""
+        return self._compute_value(self.distance / RATES["drive"][1])
+
     def make_programs(self) -> list[Program]:
         return self._make_programs_from_registers(self.to_registers(self.actions))
 
@@ -375,6 +383,7 @@ class FewShotTuning(MachineTask[Config]):
             "gain": gain,
             "damage": np.where(outcome.lost | outcome.stopped, -c.damage_weight, 0.0),
             "proof": np.where(good & last, self._compute_value(proved) - self._compute_answer_value(self.steps), 0.0),
+            "deposit": np.where(last, self._deposit, 0.0) - np.where(self.steps == 1, self._deposit, 0.0),
         }
         error = outcome.error * c.encoder
         by_encoder = outcome.finished & (np.abs(error) * ENCODER_COUNT_M <= MAX_OFFSET_M + ENCODER_COUNT_M) & c.encoder

@@ -7,8 +7,8 @@ within an episode. It has to find out in training how fast a move may be for wha
 action        Box [-1, 1]^4, as FewShotTuning's; `make_action` of few_shot.py makes one from pps and seconds
 observation   float32, -1 to 1: distance, by its logarithm; the declared payload over `payloads`, wrong by up to a share of
               `error` (truth=True adds the machine)
-reward        gain, damage and proof, as FewShotTuning's: in sum log(2 x usual time / proved cost), or 0 if the proof fails; less
-              `damage_weight` for lost steps or an end limit
+reward        gain, damage, proof and deposit, as FewShotTuning's: in sum log(2 x usual time / proved cost), or 0 if the proof
+              fails; less `damage_weight` for lost steps or an end limit
 episode       one step, then terminated.
 score         time: s, the proved cost. formula: the engineer's (stage.tune.formula) for the declared payload, in closed form.
 """

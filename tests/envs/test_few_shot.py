@@ -10,6 +10,7 @@ import stage.envs  # noqa: F401
 from stage import ArgumentError, Stage
 from stage.envs import machine_contexts
 from stage.envs.few_shot import Config, FewShotTuning, make_action
+from stage.envs.step_results import DIVERGED
 from stage.firmware.parameter_ranges import get_register_range
 
 USUAL = make_action(1000, 16_000, 0.15, 0.15)
@@ -39,9 +40,9 @@ def test_the_gain_of_a_proven_move_is_the_logarithm_of_the_time_ratio(env):
     rewards, infos = play_attempts(env, (USUAL, BRISK, USUAL))
     assert infos[-1]["proved"] == infos[-1]["best"] == infos[1]["best"] < infos[0]["best"]
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]))
-    assert rewards[0] == pytest.approx(np.log(2), abs=0.1), "the usual speeds take the usual time"
+    assert infos[0]["reward_parts"]["gain"] == pytest.approx(np.log(2), abs=0.1), "the usual speeds take the usual time"
     assert infos[0]["duration"] == pytest.approx(infos[0]["usual"], rel=0.02)
-    assert rewards[2] == 0, "a try that is slower gains nothing, and costs nothing"
+    assert rewards[2] == infos[2]["reward_parts"]["deposit"], "a try that is slower gains nothing, and costs nothing"
     assert env._task.best_time[0] == infos[1]["duration"], "nor is it the best that the host has seen"
 
 
@@ -71,7 +72,9 @@ def test_only_the_last_attempt_counts_when_it_is_the_answer(monkeypatch):
     env = make_env(answer="last")
     rewards, infos = play_attempts(env, (BRISK, WILD, USUAL))
     worth = [np.log(2 * i["usual"] / i["best"]) for i in infos]
-    assert rewards[:2] == pytest.approx([worth[0], -worth[0] - 0.05]), "what the try before was worth is lost"
+    deposit = infos[-1]["reward_parts"]["deposit"]
+    paid = [worth[0] - deposit, -worth[0] - 0.05]
+    assert rewards[:2] == pytest.approx(paid), "what the try before was worth is lost"
     assert infos[-1]["best"] == infos[0]["best"] < infos[-1]["proved"], "the best try is not the answer"
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]) - 0.05)
     requested: list = []
@@ -92,6 +95,34 @@ def test_a_move_without_margin_fails_the_proof():
     assert infos[0]["kept"]
     assert infos[-1]["proved"] == np.inf
     assert rewards.sum() == pytest.approx(0)
+
+
+@pytest.mark.parametrize("attempts", [1, 2])
+@pytest.mark.parametrize("answer", ["best", "last"])
+def test_a_limit_of_gymnasium_does_not_spare_the_proof(attempts, answer):
+    """Gains were paid before their proof: TimeLimit(env, 7) let a player retain those of moves that fail in it."""
+    env = make_env(margin=300.0, answer=answer)
+    machine = {"options": {"current": 0.7, "payload": 2.0}}
+    limited, total = gymnasium.wrappers.TimeLimit(env, attempts), 0.0
+    limited.reset(seed=1, **machine)
+    for k in range(attempts):
+        _, reward, terminated, truncated, info = limited.step(BRISK)
+        total += reward
+        assert (terminated, truncated) == (False, k == attempts - 1)
+    assert info["kept"]
+    complete, _ = play_attempts(env, (BRISK, BRISK, BRISK), **machine)
+    assert total < complete.sum() == pytest.approx(0), "an episode that was left is worth less than a failed proof"
+
+
+@pytest.mark.parametrize("distance", [800, 2000, 16_000])
+def test_no_move_gains_more_than_the_deposit_of_its_episode(distance):
+    task = FewShotTuning(1, Config(distances=(800, 16_000), **{k: v for k, v in SHORT.items() if k != "distances"}))
+    task.distance[:] = distance
+    start, top, up, down = task.decode_action(WILD, distance)
+    fastest = up + down + (distance - (up + down) * (start + top) / 2) / top
+    assert task._compute_value(np.array([fastest])) < task._deposit
+    assert task._deposit < -DIVERGED, "to diverge is no way out"
+    task.close()
 
 
 def test_the_drawn_machine_stays_the_same_for_all_attempts(env):
