@@ -79,7 +79,13 @@ def test_flags_do_what_the_table_says(flags, bits, tmp_path):
 
 
 def test_the_lines_of_the_examples_are_counted_right():
-    programs = ("arduino/hctl1100_home/hctl1100_home.ino", "avr/main.c", "vxworks/mcxDrv.c", "dos/home240.c")
+    programs = (
+        "arduino/hctl1100_home/hctl1100_home.ino",
+        "avr/main.c",
+        "vxworks/mcxDrv.c",
+        "dos/home240.c",
+        "../freertos/drive_and_watch.c",
+    )
     lines = [len((PORTS / name).read_text().splitlines()) for name in programs]
     assert [int(n) for n in re.findall(r"\| 0 of (\d+)", PAGE)] == lines
     for name, counted in zip(("arduino", "avr"), re.findall(r"and (\d+) in a separate file", PAGE), strict=True):
