@@ -12,7 +12,7 @@ SKETCH = '#include "part.h"\nint value();\nvoid setup() { Serial.begin(9600); Se
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    """A sketch with a library, and a compiler that counts what it compiles; `project.build()` returns the compiled files."""
+    """A sketch with a library, and a quick compiler that counts what it compiles; `project.build()` returns the compiled files."""
     folder, library = tmp_path / "sketch", tmp_path / "library"
     (library / "src").mkdir(parents=True)
     folder.mkdir()
@@ -21,7 +21,7 @@ def project(tmp_path, monkeypatch):
     (library / "src" / "part.cpp").write_text("int value() { return 41; }\n")
     log, compiler = tmp_path / "log", tmp_path / "count"
     compiler.write_text(
-        f'#!/bin/sh\ncase "$*" in *"-c -fPIC"*) echo "$*" >> {log};; esac\nexec {shutil.which("c++")} "$@"\n'
+        f'#!/bin/sh\ncase "$*" in *"-c -fPIC"*) echo "$*" >> {log};; esac\nexec {shutil.which("c++")} "$@" -O0 -g0\n'
     )
     compiler.chmod(0o755)
     monkeypatch.setenv("CXX", str(compiler))
