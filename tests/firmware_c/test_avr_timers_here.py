@@ -119,3 +119,17 @@ def test_a_timer_counts_and_matches_as_the_reference_does(timer, tmp_path):
     reads = [step for step in steps if step[1]]
     wrong = [(k, reads[k], values[k], expected[k]) for k in range(len(reads)) if values[k] != expected[k]]
     assert not wrong, (f"seed {seed}", wrong[:3])
+
+
+@pytest.mark.parametrize("hz", [16_000_000, 8_000_000])
+def test_timers_count_at_the_clock_rate_that_a_program_defines_in_its_source(hz, tmp_path):
+    source = tmp_path / "clock.c"
+    definition = f"#define F_CPU {hz}UL\n" if hz != 16_000_000 else ""
+    source.write_text(
+        definition + "#include <avr/io.h>\nint main(void)\n{\n    TCCR1B = 1 << CS10;\n    ps_delay_us(1000);\n"
+        '    ps_logf("%u", (unsigned)TCNT1);\n    return 0;\n}\n'
+    )
+    board = Board(Stage("xyz", chips="stepdir", visuals=False))
+    with NativeHost(source, board, platform="avr", flags=("-O0", "-g0"), isolated=False) as host:
+        host.run()
+    assert int(host.log[-1][1]) == pytest.approx(hz / 1000, abs=20)

@@ -62,6 +62,7 @@ class Platform:
     libraries: tuple[ArduinoLibrary, ...] = ()
 
 
+_AVR_SOURCES = ("avr/pinbus.cpp", "avr/timers.cpp")
 _AVR_FLAGS = ("-D__AVR_ATmega328P__", "-D__flash=")
 """Definitions of avr-gcc: the processor, and no other memory for constants."""
 PLATFORMS: dict[str, Platform] = {
@@ -71,9 +72,9 @@ PLATFORMS: dict[str, Platform] = {
                  ("arduino", "avr"), has_cplusplus_headers=True, flags=(
                      "-DPULSESTAGE_ARDUINO", "-DARDUINO=10819", "-DF_CPU=16000000L", "-DARDUINO_ARCH_AVR", "-DARDUINO_AVR_UNO",
                      *_AVR_FLAGS,
-                 )),
+                 ), sources=_AVR_SOURCES),
         Platform("avr", "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h", ("main",), "avr/entry.cpp", ("avr",),
-                 has_cplusplus_headers=True, flags=_AVR_FLAGS),
+                 has_cplusplus_headers=True, flags=_AVR_FLAGS, sources=_AVR_SOURCES),
         Platform("vxworks", "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib", ("usrAppInit",), "vxworks/entry.c",
                  ("vxworks",)),
         Platform("dos", "a DOS program of Borland, Microsoft or Watcom C: dos.h, conio.h", ("main",), "dos/entry.c", ("dos",),

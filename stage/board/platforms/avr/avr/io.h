@@ -27,9 +27,16 @@ extern "C++" { /* also where a program in C is included */
 #define loop_until_bit_is_clear(sfr, bit) do { } while (bit_is_set(sfr, bit))
 #define sbi(sfr, bit) ((sfr) |= _BV(bit))
 #define cbi(sfr, bit) ((sfr) &= uint8_t(~_BV(bit)))
-#ifndef F_CPU
+
+/* F_CPU of the program, which timers.cpp is compiled without. */
+extern "C" {
+extern const uint32_t pulsestage_clock_hz __attribute__((weak, visibility("hidden")));
+#if !defined(F_CPU)
 #define F_CPU 16000000UL
+#elif !defined(PULSESTAGE_TIMERS)
+const uint32_t pulsestage_clock_hz = F_CPU;
 #endif
+}
 
 namespace pulsestage
 {
@@ -81,7 +88,7 @@ inline __attribute__((visibility("hidden"))) Core &core()
     return one;
 }
 inline void enabled();
-inline void call_waiting();
+void call_waiting();
 
 /* A routine of attachInterrupt at a pin that reads a switch of an axis. */
 struct PinInterrupt {
