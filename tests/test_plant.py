@@ -13,8 +13,8 @@ import pytest
 from stage import ArgumentError, ModelError, Stage, faults, firmware
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
-from stage.sim.model_fingerprint import compute_fingerprint
-from stage.sim.plant import naming_contract
+from stage.sim.model_fingerprint import compute_fingerprint, iterate_settings
+from stage.sim.plant import model_preparation, naming_contract
 from stage.sim.plant.model_proposals import Proposal
 from stage.sim.plant.naming_contract_errors import ModelProblems
 from stage.sim.plant.new_model import NewAxis, new_model
@@ -728,11 +728,39 @@ def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
         if file.name.endswith(".xml"):
             (tmp_path / file.name).write_text(file.read_text())
     monkeypatch.setattr(plant.model_preparation, "_find_model_folder", lambda: tmp_path)
-    before = plant.open_spec("xy").option.timestep
+    before = plant.open_spec("xy").option.timestep, Stage("xy").model.opt.timestep
     path = tmp_path / "_common.xml" if "timestep" in (tmp_path / "_common.xml").read_text() else tmp_path / "xy.xml"
     path.write_text(path.read_text().replace('timestep="0.00025"', 'timestep="0.000125"'))
     os.utime(path, ns=(1, 1))
-    assert (before, plant.open_spec("xy").option.timestep) == (0.00025, 0.000125)
+    assert before == (0.00025, 0.00025)
+    assert (plant.open_spec("xy").option.timestep, Stage("xy").model.opt.timestep) == (0.000125, 0.000125)
+
+
+@pytest.mark.parametrize("is_displayed", [True, False])
+@pytest.mark.parametrize(
+    ("name", "chips"), [("xyz", PCL240K), ("xyz", {"x": HCTL1100, "z": PCL240K}), ("xyz_servo", PCL240K)]
+)
+def test_a_stage_of_a_shipped_model_has_the_model_of_its_file_alone(name, chips, is_displayed):
+    """Compiled models are kept for later stages: nothing that a user changes in one reaches another, or its spec."""
+    expected = compute_fingerprint(Stage(plant.open_spec(name), chips, visuals=is_displayed).model)
+    for _ in range(2):
+        model = Stage(name, chips, visuals=is_displayed).model
+        assert compute_fingerprint(model) == expected
+        for _, _, value in iterate_settings(model):
+            if isinstance(value, np.ndarray):
+                value[...] = 7
+        model.opt.timestep = 0.5
+    assert compute_fingerprint(Stage(name, chips, visuals=not is_displayed).model) != expected
+    assert compute_fingerprint(Stage(name, HCTL1100, visuals=is_displayed).model) != expected
+    assert plant.open_spec(name).option.timestep == 0.00025
+
+
+def test_the_cache_of_compiled_models_is_bounded(monkeypatch):
+    monkeypatch.setattr(model_preparation, "_compiled", {})
+    monkeypatch.setattr(model_preparation, "MAX_SHARED_MODELS", 2)
+    for axes in ("x", "y", "xy", "yx"):
+        Stage("xy", {axis: PCL240K for axis in axes}, visuals=False)
+        assert 1 <= len(model_preparation._compiled) <= 2
 
 
 def test_the_cache_of_measured_models_is_bounded(monkeypatch):

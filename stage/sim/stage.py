@@ -117,7 +117,7 @@ class Stage:
             raise ArgumentError(
                 f"bus_cycle={bus_cycle!r}: a bus cycle takes 0 to 1 s; a slow microcomputer needs 1e-6."
             )
-        spec = plant.open_spec(model)
+        spec = plant.open_shared_spec(model)
         if not visuals:
             plant.discard_visuals(spec)
         names, chip_axes, axis_drives = choose_chips_and_drives(spec, chips, drives, clock)

@@ -28,6 +28,7 @@ from stage.sim.plant.model_preparation import (
     find_motor_names,
     fit_actuator,
     list_model_names,
+    open_shared_spec,
     open_spec,
     read_dc_constants,
     reserve_fitted_values,
@@ -38,6 +39,6 @@ from stage.sim.plant.switch_finder import Switch
 
 __all__ = [
     "PINS", "PlantAxis", "Switch", "bind_axes", "compile_spec", "discard_visuals", "find_axis_names",
-    "find_motor_names", "fit_actuator", "format_axes", "list_model_names", "open_spec", "read_dc_constants",
-    "reserve_fitted_values", "view_fitted_values",
+    "find_motor_names", "fit_actuator", "format_axes", "list_model_names", "open_shared_spec", "open_spec",
+    "read_dc_constants", "reserve_fitted_values", "view_fitted_values",
 ]  # fmt: skip

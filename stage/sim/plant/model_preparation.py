@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +19,7 @@ from stage.sim.plant.model_file_limits import check_model_size
 from stage.sim.plant.model_proposals import Proposal, propose_carriage, propose_motor
 from stage.sim.plant.naming_contract_errors import find_nearest_name, make_model_error
 
+MAX_SHARED_MODELS = 32
 AXIS_JOINT_TYPES = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -25,6 +27,45 @@ def list_model_names() -> list[str]:
     """Return the names of the models that ship with PulseStage."""
     shipped: list[str] = import_module("stage.models").names()
     return shipped
+
+
+@dataclass
+class SharedSpec:
+    """MjSpec of a shipped model that all stages share, with the changes that one of them needs.
+
+    The spec itself never changes. `compile_spec` makes the changes in a copy, and keeps the compiled model: reading and compiling
+    take longer than all else that makes a stage, and most stages of a process are alike.
+
+    Attributes:
+        name: Name of the model.
+        spec: The spec as the file has it.
+        file_state: Value that differs after a file of a shipped model has changed.
+        changes: Functions of this module that change a spec, with their arguments.
+    """
+
+    name: str
+    spec: mujoco.MjSpec
+    file_state: tuple[int, ...]
+    changes: list[tuple[Callable[..., None], tuple[Any, ...]]] = field(default_factory=list)
+
+    def make_changes(self) -> mujoco.MjSpec:
+        """Return a copy of the spec with the changes."""
+        spec = self.spec.copy()
+        for change, arguments in self.changes:
+            change(spec, *arguments)
+        return spec
+
+
+_compiled: dict[tuple, tuple[mujoco.MjModel, int]] = {}
+"""Compiled models of shared specs and the index of their first additional word, by name, files, changes and words."""
+
+
+def open_shared_spec(source: Any) -> Any:
+    """Open a model for a stage: a shipped one by its name as a SharedSpec, any other as `open_spec` does."""
+    if isinstance(source, str) and source in list_model_names():
+        state = _read_model_versions()
+        return SharedSpec(source, _load_shipped_spec(source, state), state)
+    return open_spec(source)
 
 
 def open_spec(source: Any) -> Any:
@@ -83,10 +124,12 @@ def _load_shipped_spec(name: str, _state: tuple[int, ...]) -> Any:
 
 
 def discard_visuals(spec: Any) -> None:
-    """Set an MjSpec to discard visual elements when it is compiled. An MjModel stays as it is.
+    """Set a spec to discard visual elements when it is compiled. An MjModel stays as it is.
 
     The dynamics are the same to the bit; the model compiles faster and takes a fifth of the memory.
     """
+    if isinstance(spec, SharedSpec):
+        spec.changes.append((discard_visuals, ()))
     if not isinstance(spec, mujoco.MjSpec):
         return
     spec.compiler.discardvisual = True
@@ -97,12 +140,18 @@ def discard_visuals(spec: Any) -> None:
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
+def _unwrap(source: Any) -> Any:
+    """Return the MjSpec of a SharedSpec, for functions that only read; anything else unchanged."""
+    return source.spec if isinstance(source, SharedSpec) else source
+
+
 def find_axis_names(source: Any) -> list[str]:
     """Return the names of the joints that have an actuator of the same name, in the order of the actuators.
 
     Raises:
         ModelError: No joint has one.
     """
+    source = _unwrap(source)
     compiled = isinstance(source, mujoco.MjModel)
     all_joints = [source.joint(k) for k in range(source.njnt)] if compiled else list(source.joints)
     all_actuators = [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators)
@@ -137,6 +186,7 @@ def _propose_first_axis(source: Any, slips: dict[str, str], joints: list[str]) -
 
 def find_motor_names(source: Any) -> dict[str, str]:
     """Return the names of the motors that a model states, by axis."""
+    source = _unwrap(source)
     compiled = isinstance(source, mujoco.MjModel)
     texts_by_name = (
         read_texts(source)
@@ -158,10 +208,13 @@ def fit_actuator(source: Any, axis: str, constants: tuple[float, float] | None) 
     """Exchange the actuator of an axis if it is of another kind. An MjModel cannot change; `bind` reports a wrong kind.
 
     Args:
-        source: MjSpec or MjModel.
+        source: MjSpec, SharedSpec or MjModel.
         axis: Name of the axis.
         constants: N m/A and ohm of a <dcmotor>; None for a <motor>.
     """
+    if isinstance(source, SharedSpec):
+        source.changes.append((fit_actuator, (axis, constants)))
+        return
     actuator = (
         None if isinstance(source, mujoco.MjModel) else next((a for a in source.actuators if a.name == axis), None)
     )
@@ -174,12 +227,14 @@ def fit_actuator(source: Any, axis: str, constants: tuple[float, float] | None) 
 
 
 def reserve_fitted_values(source: Any, axes: Iterable[str]) -> None:
-    """Add the numeric AXIS_fitted of each axis to an MjSpec, see `view_fitted_values`. An MjModel stays as it is.
+    """Add the numeric AXIS_fitted of each axis to a spec, see `view_fitted_values`. An MjModel stays as it is.
 
     Args:
-        source: MjSpec or MjModel.
+        source: MjSpec, SharedSpec or MjModel.
         axes: Names of the axes.
     """
+    if isinstance(source, SharedSpec):
+        source.changes.append((reserve_fitted_values, (tuple(axes),)))
     if isinstance(source, mujoco.MjSpec):
         for axis in axes:
             if all(numeric.name != f"{axis}_fitted" for numeric in source.numerics):
@@ -199,6 +254,7 @@ def view_fitted_values(model: mujoco.MjModel, axis: str) -> np.ndarray:
 
 def read_dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
     """Return torque constant, N m/A, and resistance, ohm, of the <dcmotor> of an axis; None without a <dcmotor>."""
+    source = _unwrap(source)
     compiled = isinstance(source, mujoco.MjModel)
     for a in [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators):
         if a.name == axis and int(np.squeeze(a.gaintype)) == mujoco.mjtGain.mjGAIN_DCMOTOR:
@@ -222,15 +278,23 @@ def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
     An MjModel cannot grow: the state takes the last words of its userdata.
 
     Args:
-        source: MjSpec or MjModel.
+        source: MjSpec, SharedSpec or MjModel.
         words: Number of float64 words for the state.
 
     Returns:
-        The model, and the index of the first of these words in userdata.
+        The model, which nobody else has unless it is `source`, and the index of the first of these words in userdata.
 
     Raises:
         ModelError: An MjModel has too little userdata, or MuJoCo cannot compile the spec.
     """
+    if isinstance(source, SharedSpec):
+        key = source.name, source.file_state, tuple(source.changes), words
+        if key not in _compiled:
+            if len(_compiled) >= MAX_SHARED_MODELS:
+                _compiled.clear()
+            _compiled[key] = compile_spec(source.make_changes(), words)
+        model, offset = _compiled[key]
+        return copy.copy(model), offset
     if isinstance(source, mujoco.MjModel):
         if source.nuserdata < words:
             line = f'<size nuserdata="{words}"/>'

@@ -13,7 +13,7 @@ import numpy as np
 from stage.errors import ModelError
 from stage.sim.engine_records import PINS
 from stage.sim.model_fingerprint import compute_fingerprint
-from stage.sim.plant.model_preparation import AXIS_JOINT_TYPES, find_axis_names, read_texts
+from stage.sim.plant.model_preparation import AXIS_JOINT_TYPES, SharedSpec, find_axis_names, read_texts
 from stage.sim.plant.model_proposals import (
     JOINT_RANGE,
     MAX_GEAR,
@@ -70,8 +70,8 @@ def bind_axes(model: mujoco.MjModel, axes: Sequence[str] | None = None, source: 
     Args:
         model: Model.
         axes: Names of the axes; default: all.
-        source: MjSpec of which the model was compiled, for the proposals of an error: its unit of angles, and the names of geoms
-            that were discarded. Default: degrees, as MuJoCo's, and no such names.
+        source: MjSpec or SharedSpec of which the model was compiled, for the proposals of an error: its unit of angles, and the
+            names of geoms that were discarded. Default: degrees, as MuJoCo's, and no such names.
 
     Raises:
         ModelError: The model breaks the naming contract; the error lists everything that is wrong.
@@ -127,7 +127,7 @@ class _AxisBinder:
         self.model, self.axes = model, axes
         self.problems = ModelProblems()
         self.texts = read_texts(model)
-        spec = source if isinstance(source, mujoco.MjSpec) else None
+        spec = source.spec if isinstance(source, SharedSpec) else source if isinstance(source, mujoco.MjSpec) else None
         self.degrees = spec is None or bool(spec.compiler.degree)
         self.switches = SwitchFinder(model, self.problems, axes, [g.name for g in spec.geoms] if spec else [])
 
