@@ -45,7 +45,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -54,13 +54,12 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs import settings
+from stage.envs.compiled_task import CompiledTask
 from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import DIVERGED
-from stage.envs.task import Task
 from stage.errors import ArgumentError, unknown_name_error
-from stage.sim import program_player
 from stage.support import portable_math
 
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k waits for waits[k]
@@ -132,7 +131,7 @@ class Config(settings.Settings):
             raise ArgumentError(f"distances={(low, high)!r}: (least, most) pulses, beyond the tolerance.")
 
 
-class RegisterBus(Task[Config]):
+class RegisterBus(CompiledTask[Config]):
     """Rules of stage/RegisterBus-v0, whose steps run in compiled code (register_bus_core.py). The module docstring states them."""
 
     Config = Config
@@ -153,6 +152,7 @@ class RegisterBus(Task[Config]):
         Feature("time", HOST, "elapsed time / `time_limit`"),
         Feature("actions", HOST, "actions so far / `cycles`"),
     )
+    CORE: ClassVar = core
     INFO = core.INFO
     PARTS = core.PARTS
 
@@ -194,8 +194,8 @@ class RegisterBus(Task[Config]):
         self.first = np.array([self.on_chip.tolist().index(i) for i in range(len(chips))], np.int64)
         bits = chip.DATA_MASK.bit_length()
         self._bus = {"bits": bits, "status": chip.BUSY[0], "most": chip.DATA_MASK}
-        self._choices = [2 + len(c.waits), len(chips), chip.ADDRESSES, chip.DATA_MASK + 1]
-        self.action_space = gymnasium.spaces.MultiDiscrete(self._choices)
+        choices = [2 + len(c.waits), len(chips), chip.ADDRESSES, chip.DATA_MASK + 1]
+        self.action_space = gymnasium.spaces.MultiDiscrete(choices)
         size = (
             len(chips) * core.count_observation_words(chip.ADDRESSES, bits)
             + m * (core.PER_AXIS + core.TRUTH * (c.truth is True))
@@ -206,9 +206,7 @@ class RegisterBus(Task[Config]):
         self._fill_rule_records()
         self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
         self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
-        self._truth = np.zeros((n, m), program_player.TRUTH)
-        self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
-        self._played_by_python = np.zeros(n, bool)
+        self.make_step_arrays(m, operation_count=1)
 
     def _fill_rule_records(self) -> None:
         """Fill the records from which compiled code reads the settings of the environment."""
@@ -229,22 +227,12 @@ class RegisterBus(Task[Config]):
         for name, values in of_axes.items():
             self.axis_rules[name] = values
 
-    def bind_arrays(self) -> None:
-        arrays = {
-            "handles": self.fleet.handles, "rules": self.rules, "axis_rules": self.axis_rules, "waits": self.waits,
-            "active": self.active, "by_hand": self._played_by_python, "actions": self.actions, "steps": self.steps,
-            "ops": self._ops, "values": self._values, "status": self._status,
-            "truth": self._truth, "episodes": self.episodes, "axes": self.axis_states,
-            "words": self.words, "first": self.first, "observations": self.observations,
+    def list_frame_values(self) -> dict[str, Any]:
+        return {
+            "rules": self.rules, "axis_rules": self.axis_rules, "waits": self.waits, "episodes": self.episodes,
+            "axes": self.axis_states, "words": self.words, "first": self.first, "n_axes": len(self.axes),
+            "n_waits": len(self.waits), "n_chips": self.words.shape[1], "n_addresses": self.words.shape[2],
         }  # fmt: skip
-        self._frame = np.zeros(1, core.FRAME)
-        lengths = {"stages": self.n, "n_axes": len(self.axes), "n_waits": len(self.waits)}
-        lengths |= {"n_chips": self.words.shape[1], "n_addresses": self.words.shape[2]}
-        lengths["width"] = self.observations.shape[1]
-        for name, value in {**{name: a.ctypes.data for name, a in arrays.items()}, **lengths}.items():
-            self._frame[name] = value
-        self._address = self._frame.ctypes.data
-        self._rows = self.results.rows.ctypes.data, len(self.results.rows)
 
     def list_all_features(self) -> list[Feature]:
         status, words, ages, target, *truth, value, was_read, time, actions = self.OBSERVATION
@@ -296,7 +284,7 @@ class RegisterBus(Task[Config]):
         indices = self.axis_states[stage_index]
         indices["target"], indices["goal"], indices["lost"] = target, goal, 0
         self.words[stage_index]["seen"], self.words[stage_index]["when"] = 0, -1
-        self._conclude_steps(stage_index, stage_index + 1, True)
+        self.conclude_steps(stage_index, stage_index + 1, True)
 
     def _draw_start_positions(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a start position for each axis, m: between the end limits, and not within the tolerance of the origin."""
@@ -334,49 +322,6 @@ class RegisterBus(Task[Config]):
 
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
         return {"target": self.axis_states["target"][stage_index].copy()}
-
-    def set_action(self, stage_index: int, action: Any) -> None:
-        if type(action) is np.ndarray and action.dtype == np.int64 and action.shape == (4,):
-            kind, axis, address, value = action.tolist()
-            kinds, axes, addresses, values = self._choices
-            if 0 <= kind < kinds and 0 <= axis < axes and 0 <= address < addresses and 0 <= value < values:
-                self.actions[stage_index] = action
-                return
-        super().set_action(stage_index, action)
-
-    def play_actions(self) -> None:
-        watched = self.fleet.list_stages_played_in_python()
-        if not watched:
-            self.fleet.run_on_threads(self._step_stages)
-            self.fleet.check_status(self._status)
-            return
-        self._played_by_python[watched] = True
-        self.fleet.run_on_threads(lambda begin, end: core.play_actions.c(self._address, begin, end))
-        self.fleet.check_status(self._status)
-        self._played_by_python[:] = False
-        for k in watched:
-            if self.active[k]:
-                self._status[k] = program_player.play_in_python(
-                    self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2))
-                )
-        self._conclude_steps(0, self.n, False)
-
-    def _step_stages(self, begin: int, end: int) -> None:
-        """Play and judge a step of a range of stages in compiled code."""
-        core.step_stages.c(self._address, begin, end, *self._rows)
-
-    def _conclude_steps(self, begin: int, end: int, fresh: bool) -> None:
-        """Judge and observe a range of stages in compiled code.
-
-        Args:
-            begin: First stage.
-            end: Stage after the last one.
-            fresh: Whether an episode begins on these stages, so that there is no step to judge.
-        """
-        core.conclude_steps.c(self._address, begin, end, fresh, *self._rows)
-
-    def update_observations(self) -> None:
-        """Do nothing: `begin_episode` and `play_actions` have already updated the observations."""
 
 
 class RegisterBusEnv(StageEnv):

@@ -1,8 +1,4 @@
-"""The compiled part of `register_bus`: a step of many stages, from actions to observations, without the GIL.
-
-The task owns all arrays. A FRAME record holds their addresses and lengths, so that a call passes only a few numbers. A step has
-two halves, `play_actions` and `conclude_steps`, so that Python can play the program of a recorded stage in between.
-"""
+"""The compiled part of `register_bus`: a step of many stages, from actions to observations, see `compiled_task`."""
 
 from __future__ import annotations
 
@@ -13,8 +9,8 @@ import numpy as np
 from stage.chips import core_interface
 from stage.envs import observation_features
 from stage.envs.step_results import make_step_result_dtype
-from stage.native import array_at, array_of, exported, greatest, hot, least, record
-from stage.sim import compiled_stage_access, program
+from stage.native import array_at, exported, greatest, hot, least, record
+from stage.sim import compiled_stage_access, engine, program
 from stage.sim import program_player as player
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k waits for waits[k]
@@ -88,11 +84,14 @@ INFO = (
 RESULT = make_step_result_dtype(PARTS, INFO)
 
 FRAME = record(
-    [(name, "i8") for name in "handles rules axis_rules waits active by_hand actions steps ops values status".split()]
+    [
+        (name, "i8")
+        for name in "handles rules axis_rules waits active observed actions steps ops values status results".split()
+    ]
     + [(name, "i8") for name in "truth episodes axes words first observations".split()]
     + [(name, "i8") for name in "stages n_axes n_chips n_addresses n_waits width".split()]
 )
-"""Addresses of the arrays of a task, and their lengths. first: the first axis of each chip; by_hand: stages that Python plays."""
+"""Addresses of the arrays of a task, and their lengths. first: the first axis of each chip; observed: stages that Python plays."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
 HANDLE, TRUTHS = compiled_stage_access.HANDLE, player.TRUTH
@@ -100,7 +99,7 @@ HANDLE, TRUTHS = compiled_stage_access.HANDLE, player.TRUTH
 
 @exported(None, FRAME, "i8", "i8")
 def play_actions(frame, begin, end):
-    """Convert the actions of active stages to operations of a host, and play them, except on stages that Python plays.
+    """Convert the actions of active stages to operations of a host, and play them, except on stages that Python must play.
 
     Args:
         frame: FRAME record.
@@ -110,22 +109,34 @@ def play_actions(frame, begin, end):
     handles = array_at(frame.handles, frame.stages, HANDLE)
     waits = array_at(frame.waits, frame.n_waits, INTEGER)
     active = array_at(frame.active, frame.stages, FLAG)
-    by_hand = array_at(frame.by_hand, frame.stages, FLAG)
+    observed = array_at(frame.observed, frame.stages, FLAG)
+    most = array_at(frame.rules, 1, RULES)[0].most
     actions = array_at(frame.actions, (frame.stages, 4), INTEGER)
     ops = array_at(frame.ops, (frame.stages, 1, 4), INTEGER)
     values = array_at(frame.values, (frame.stages, 1), INTEGER)
     status = array_at(frame.status, frame.stages, INTEGER)
     first = array_at(frame.first, frame.n_chips, INTEGER)
     for k in range(begin, end):
+        status[k] = player.PLAYED
         if not active[k]:
             continue
         op, action = ops[k, 0], actions[k]
+        if not (
+            0 <= action[0] < WAIT + frame.n_waits
+            and 0 <= action[1] < frame.n_chips
+            and 0 <= action[2] < frame.n_addresses
+            and 0 <= action[3] <= most
+        ):
+            status[k] = player.REFUSED
+            continue
         if action[0] >= WAIT:
             op[0], op[1], op[2], op[3] = program.WAIT, waits[action[0] - WAIT], 0, 0
         else:
             op[0] = program.WRITE if action[0] == WRITE else program.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
-        if not by_hand[k]:
+        if observed[k] or not engine.is_ready(handles[k]):
+            status[k] = player.UNREADY
+        else:
             extremes = array_at(frame.ops, (0, 2), REAL)
             status[k] = player.play_program(handles[k], ops[k], values[k], extremes)
 
@@ -264,16 +275,15 @@ def _write_observation(settings, rules, steps, episode, axes, words, truth, obse
         observation[j] = least(greatest(observation[j], -1.0), 1.0)
 
 
-@exported(None, FRAME, "i8", "i8", "i8", array_of(RESULT))
-def conclude_steps(frame, begin, end, fresh, results):
-    """Judge the last step of active stages, and write their observations; a stage that diverged keeps its last observation.
+@exported(None, FRAME, "i8", "i8", "i8")
+def conclude_steps(frame, begin, end, fresh):
+    """Judge the last step of active stages that have played it, and write their observations, except of a stage that diverged.
 
     Args:
         frame: FRAME record.
         begin: First stage.
         end: Stage after the last one.
         fresh: 1 if an episode begins on these stages, so that there is no step to judge; goals are already set.
-        results: Records to fill, (stages,) RESULT.
     """
     handles = array_at(frame.handles, frame.stages, HANDLE)
     r = array_at(frame.rules, 1, RULES)[0]
@@ -289,8 +299,9 @@ def conclude_steps(frame, begin, end, fresh, results):
     first = array_at(frame.first, frame.n_chips, INTEGER)
     truth = array_at(frame.truth, (frame.stages, frame.n_axes), TRUTHS)
     observations = array_at(frame.observations, (frame.stages, frame.width), SMALL)
+    results = array_at(frame.results, frame.stages, RESULT)
     for k in range(begin, end):
-        if not (fresh or active[k]):
+        if not fresh and (not active[k] or status[k] <= player.UNREADY):
             continue
         player.inspect_axes(handles, k, k + 1, truth)
         bad = False
@@ -311,15 +322,23 @@ def conclude_steps(frame, begin, end, fresh, results):
             _write_observation(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])
 
 
-@exported(None, FRAME, "i8", "i8", array_of(RESULT))
-def step_stages(frame, begin, end, results):
-    """Play and judge a step of a range of stages. Call this only if Python plays no stage.
+@exported("i8", FRAME, "i8", "i8")
+def step_stages(frame, begin, end):
+    """Play and judge a step of a range of stages.
 
     Args:
         frame: FRAME record.
         begin: First stage.
         end: Stage after the last one.
-        results: Records to fill, (stages,) RESULT.
+
+    Returns:
+        Number of stages that have not played their program to its end.
     """
     play_actions(frame, begin, end)
-    conclude_steps(frame, begin, end, 0, results)
+    conclude_steps(frame, begin, end, 0)
+    unfinished = 0
+    status = array_at(frame.status, frame.stages, INTEGER)
+    for k in range(begin, end):
+        if status[k] != player.PLAYED:
+            unfinished += 1
+    return unfinished

@@ -172,16 +172,15 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
             raise ArgumentError("the episode is over: call reset() first.")
         task = self._task
         task.set_action(0, action)
-        self._play_step()
-        if task.RESTARTS:
-            self._save_recording()
-        task.prepare_next_step()
-        if task.RESTARTS:
-            self._start_recording()
-        task.update_observations()
+        if self.render_mode is None:
+            task.play_actions()
+        else:
+            self._play_and_film()
+        if not task.IS_COMPILED:
+            self._prepare_next_step()
         reward, terminated, truncated, info = task.results.read_row(0)
         self._over = terminated or truncated
-        return task.observations[0].copy(), reward, terminated, truncated, info
+        return task.first_observation.copy(), reward, terminated, truncated, info
 
     def snapshot(self) -> EnvSnapshot:
         """Take a snapshot of the complete episode, for `restore`. Raises ArgumentError before the first reset."""
@@ -201,12 +200,20 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         self._over, self._np_random_seed, self._end = env_snapshots.restore_snapshot(self._task, snapshot)
         self._np_random, self._is_started = self._task.rngs[0], True
 
-    def _play_step(self) -> None:
+    def _prepare_next_step(self) -> None:
+        """Let the task prepare its next step, in a recording of its own if it restarts, and observe."""
+        task = self._task
+        if task.RESTARTS:
+            self._save_recording()
+        task.prepare_next_step()
+        if task.RESTARTS:
+            self._start_recording()
+        task.update_observations()
+
+    def _play_and_film(self) -> None:
         """Play one step of the task, and collect its frames for `render`."""
         task = self._task
-        if self.render_mode is None:
-            task.play_actions()
-        elif not isinstance(task, MoveTask):
+        if not isinstance(task, MoveTask):
             task.play_actions()
             if self._frame_interval is None or self.stage.time >= self._last_frame_time + self._frame_interval - 1e-9:
                 self._last_frame_time = self.stage.time

@@ -45,6 +45,7 @@ class Task(ABC, Generic[ConfigT]):
         steps: Number of steps of each episode so far, (n,).
         results: Results of the last step; those of stages that are not active are not valid.
         observations: Observations, (n, ...). A stage that diverged keeps its last one.
+        first_observation: Row of the first stage.
     """
 
     Config: ClassVar[type]
@@ -60,6 +61,8 @@ class Task(ABC, Generic[ConfigT]):
     """Names of the parts whose sum is the reward."""
     RESTARTS: ClassVar[bool] = False
     """Whether every step begins at power-up, so that a recording holds only one step."""
+    IS_COMPILED: ClassVar[bool] = False
+    """Whether `play_actions` has also prepared the next step and computed the observations, in compiled code."""
     action_space: gymnasium.Space
     observation_space: gymnasium.Space
     shapes: Mapping[str, tuple[int, ...]] = MappingProxyType({})
@@ -99,7 +102,8 @@ class Task(ABC, Generic[ConfigT]):
         """Make the action space, the observation space, and the arrays that hold the state of the episodes."""
 
     def bind_arrays(self) -> None:
-        """Store the addresses of the arrays that compiled code uses. The base class has none."""
+        """Bind what refers to the memory of the arrays, such as addresses for compiled code; copies of the task do it again."""
+        self.first_observation = self.observations[0]
 
     @abstractmethod
     def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:

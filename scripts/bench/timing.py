@@ -24,16 +24,19 @@ def measure_time(work: Work, clock: Callable[[], float] = time.perf_counter) -> 
     return clock() - begin
 
 
-def measure_alternately(works: Mapping[str, tuple[Work, Work]], rounds: int, calls: int = 5) -> dict[str, np.ndarray]:
+def measure_alternately(
+    works: Mapping[str, tuple[Work, Work]], rounds: int, calls: int = 5, summarize: Callable[..., Any] = np.median
+) -> dict[str, np.ndarray]:
     """Measure the time of several works that run in turns.
 
     In each round, every work runs `calls` times, interleaved with the others, and the first work changes from round to round. The
-    value of a round is the median. One earlier call of each work, which may compile, does not count.
+    value of a round is the median, or another summary. One earlier call of each work, which may compile, does not count.
 
     Args:
         works: (preparation, work) by name; the preparation is not timed.
         rounds: Number of rounds.
         calls: Number of calls of each work in a round.
+        summarize: Function of an array and its axis: `np.min` for short works whose difference matters, on a busy machine.
 
     Returns:
         Seconds of a call of each work by name, (rounds,).
@@ -49,7 +52,7 @@ def measure_alternately(works: Mapping[str, tuple[Work, Work]], rounds: int, cal
             prepare, work = works[name]
             prepare()
             seconds[name][divmod(turn, calls)] = measure_time(work)
-    return {name: np.median(s, axis=1) for name, s in seconds.items()}
+    return {name: summarize(s, axis=1) for name, s in seconds.items()}
 
 
 def do_nothing() -> None:

@@ -24,6 +24,7 @@ from stage.chips import contract_check
 from stage.chips.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.exclusive_access import SessionLock, exclusive, exclusively, with_lock
 from stage.chips.journal import Journal
+from stage.chips.observer_attributes import make_observer_attribute
 from stage.chips.register_map import RegisterMap, Word, dump
 from stage.chips.write_diagnostics import (
     BUS_WIDTH,
@@ -231,12 +232,10 @@ class Chip(DeclaredAttributes):
         self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
         self._bus: Bus | None = None
         self._alone: tuple[np.ndarray, int] | None = None  # where its state was before `attach` moved it
-        self.open_journal: Journal | None = None
-        """Journal that notes the inputs of the chip, the newest one if several are open; None if none is. See `journal`."""
+        self.open_journal = None
         self.journal_lint: JournalLint | None = None
         """Lint that checks the writes of a journal, for chips whose bus cycles compiled code makes; else None."""
-        self.glitches: tuple[Callable[[int, int], bool], ...] = ()
-        """Faults of the bus: functions (address, value) called before every write; if one returns True, the write is lost."""
+        self.glitches = ()
         self._use_record(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._record)
         self.CORE.power_up.with_gil(self._address)
@@ -246,6 +245,15 @@ class Chip(DeclaredAttributes):
                 f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {minimum:,} to {maximum:,} Hz"
             )
             self.diagnose(0, 0, 0, [(CLOCK_RANGE.with_source(self.CLOCK_SOURCE), message)])
+
+    open_journal: Journal | None = make_observer_attribute(
+        "_open_journal",
+        "Journal that notes the inputs of the chip, the newest one if several are open; None if none is. See `journal`.",
+    )
+    glitches: tuple[Callable[[int, int], bool], ...] = make_observer_attribute(
+        "_glitches",
+        "Faults of the bus: functions (address, value) called before every write; if one returns True, the write is lost.",
+    )
 
     def _explain_unknown_attribute(self, name: str) -> str:
         return f"The {type(self).__name__} has no attribute {name!r}. {explain_pins(self.axes[0].pins, name)}"

@@ -357,6 +357,12 @@ def has_unguarded_callback(handle):
     return 1 if _would_call_unguarded_callback(get_clockwork(handle)) else 0
 
 
+@hot
+def is_ready(handle):
+    """Return whether compiled code can run a stage now: it has power, and `has_unguarded_callback` is 0."""
+    return get_world(handle).powered != 0 and not _would_call_unguarded_callback(get_clockwork(handle))
+
+
 @exported("i8", HANDLE, "i8")
 def claim_stage(handle, token):
     """Claim a stage for one thread, and return 1 if the stage was free. Others cannot run it until `release_stage(token)`."""

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage.chips import observer_attributes
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim import compiled_stage_access, engine, engine_records, program_player
 from stage.sim.program import (
@@ -127,6 +128,9 @@ class Fleet:
         self._process = os.getpid()
         self.handles = np.zeros(len(self.stages), compiled_stage_access.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), program_player.TRUTH)
+        self._loops = [stage.loop for stage in self.stages]
+        self._observed: list[int] = []
+        self._observer_changes = -1
         self._pool: ThreadPoolExecutor | None = None
         self._background: _BackgroundPlay | None = None
         for k, stage in enumerate(self.stages):
@@ -170,26 +174,26 @@ class Fleet:
         return PlayedPrograms(results, extremes, status == program_player.DIVERGED)
 
     def list_stages_played_in_python(self) -> list[int]:
-        """List the stages whose programs Python must play: those with a recording, or whose chips have a journal or a bus fault.
-
-        If MuJoCo has Python callbacks, the list has all stages.
-        """
-        indices = []
-        all_of_them = engine.has_unguarded_callback.with_gil(self._first)
-        for k, stage in enumerate(self.stages):
+        """List the stages whose programs Python must play: the observed ones; all if MuJoCo has Python callbacks."""
+        for stage in self.stages:
             stage.ensure_powered()
-            stage.loop.check_integration_options()
-            if all_of_them or stage.recording is not None:
-                indices.append(k)
-                continue
-            for chip in stage.chips:
-                if chip.open_journal is not None or chip.glitches:
-                    indices.append(k)
-                    break
-        return indices
+        observed = self.list_observed_stages()
+        return list(range(len(self))) if engine.has_unguarded_callback.with_gil(self._first) else observed
+
+    def list_observed_stages(self) -> list[int]:
+        """List the stages that have a recording, or whose chips have a journal or a fault of the bus.
+
+        Raises:
+            StageError: The time step or the integrator of a stage's model has changed.
+        """
+        for loop in self._loops:
+            loop.check_integration_options()
+        if self._observer_changes != observer_attributes.changes[0]:
+            self._observer_changes = observer_attributes.changes[0]
+            self._observed = [k for k, stage in enumerate(self.stages) if is_observed(stage)]
+        return self._observed
 
     @staticmethod
-    @explain_arguments
     def check_status(status: np.ndarray) -> None:
         """Check that the programs of all stages could be played.
 
@@ -289,9 +293,9 @@ class Fleet:
 
     def _stop_background(self) -> None:
         """End the programs that a background thread plays. If Ctrl-C interrupts this, the next call of `play` repeats it."""
-        if threading.current_thread() is not threading.main_thread():
+        if self._background is None or threading.current_thread() is not threading.main_thread():
             return
-        if self._background is not None and self._process == os.getpid():
+        if self._process == os.getpid():
             self._background.left = True
             self.handles["halt"] = 1
             while self._background.running:
@@ -306,6 +310,11 @@ class Fleet:
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="stage")
         return self._pool
+
+
+def is_observed(stage: Stage) -> bool:
+    """Return whether Python must make the bus cycles of a stage: it is recorded, or a chip has a journal or a fault of the bus."""
+    return stage.recording is not None or any(c.open_journal is not None or c.glitches for c in stage.chips)
 
 
 AXIS_OPERATIONS = (WRITE, READ, SAMPLE_POSITION)

@@ -38,6 +38,8 @@ STEP_LOST = -1
 """Status of a program that AWAIT_STOP_OR_LOST_STEP has ended because a step was lost."""
 HALTED = -2
 """Status of a program that was interrupted, because another thread has set `halt` in the handle."""
+UNREADY, REFUSED = -3, -4
+"""Status of a program that a compiled task has not played: Python must play it, or the action is not in the action space."""
 MAX_PIECE_NS = 100_000_000
 """Longest simulated time, ns, between two checks whether the program is to be interrupted."""
 LONG = 10 * MAX_PIECE_NS

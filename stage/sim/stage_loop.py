@@ -19,6 +19,7 @@ import numpy as np
 from stage.chips import Chip
 from stage.chips.exclusive_access import SessionLock
 from stage.chips.journal_entries import LOAD, PACKED, SHAFT
+from stage.chips.observer_attributes import make_observer_attribute
 from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import engine, engine_records, mujoco_callbacks
 from stage.sim.compiled_stage_access import make_claim_token
@@ -56,6 +57,8 @@ class StageLoop:
         procedures: Procedures of a host that go on while time passes, see stage.sim.procedure_threads.
     """
 
+    recording: Any = make_observer_attribute("_recording", "Receiver of the engine's samples, or None.")
+
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
         """Make the loop of a stage.
 
@@ -65,7 +68,7 @@ class StageLoop:
             power_up: Function that resets the stage to power-up, called when MuJoCo has cleared its state.
         """
         self.state, self.chips = state, chips
-        self.recording: Any = None
+        self.recording = None
         self.time_refusal = self.state_refusal = ""
         self.pace: Callable[[int], int] | None = None
         self.each_cycle: Callable[[], None] | None = None

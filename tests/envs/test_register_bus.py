@@ -591,6 +591,29 @@ def test_a_journal_changes_nothing(goal):
     assert journal.entries
 
 
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_bus_fault_that_begins_between_steps_loses_only_the_next_write(n):
+    faulty, healthy = (make_vec(n, axes=("x",), waits=(1e-6,)) for _ in range(2))
+    for envs in (faulty, healthy):
+        envs.reset(seed=1)
+        envs.step(np.tile([rb.WRITE, 0, 0, 0x08], (n, 1)))
+    write, wait = (
+        np.tile([rb.WRITE, 0, 0, chip_port.CONTROL | chip_port.MINUS], (n, 1)),
+        np.tile([rb.WAIT, 0, 0, 0], (n, 1)),
+    )
+
+    def states():
+        return [envs.stages[0].axes["x"].chip.state.tobytes() for envs in (faulty, healthy)]
+
+    faults.lost_write(faulty.stages[0].axes["x"])
+    for envs in (faulty, healthy):
+        envs.step(write)
+    assert states()[0] != states()[1]
+    faulty.step(write)
+    healthy.step(wait)
+    assert states()[0] == states()[1]
+
+
 def test_one_thread_and_many_give_the_same_bits():
     one, many = make_vec(9, threads=1, live=True, cycles=30), make_vec(9, threads=2, live=True, cycles=30)
     for e in (one, many):

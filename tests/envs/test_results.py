@@ -1,5 +1,8 @@
 """The records of a step: rows as Python values, and columns in the form of Gymnasium's vectors."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -27,6 +30,14 @@ def test_a_row_holds_python_numbers_and_copied_arrays(results):
     assert info["cause"] == ""
     results["info"]["registers"] = 0
     assert info["registers"].tolist() == [3, 4]
+
+
+@pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda r: pickle.loads(pickle.dumps(r))])
+def test_a_copy_has_equal_rows_and_separate_memory(results, make_copy):
+    copied = make_copy(results)
+    results["parts"]["time"] = results["reward"] = 0.0
+    reward, *_, info = copied.read_row(1)
+    assert (reward, info["reward_parts"]["time"]) == (-7.0, -2.0)
 
 
 def test_a_diverged_stage_is_truncated_with_only_its_divergence_cost(results):

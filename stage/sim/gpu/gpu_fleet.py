@@ -250,7 +250,7 @@ def check_stage(stage: Stage) -> None:
         raise ArgumentError(f"{len(stage.chips)} chips: a stage on a GPU has {WARP} at most.")
     if state.chip_table["wire"].any() or state.chip_table["link"].any():
         raise ArgumentError("syni=, multichip=: chips that are wired together do not run on a GPU.")
-    if stage.recording is not None or any(chip.open_journal is not None or chip.glitches for chip in stage.chips):
+    if fleet.is_observed(stage):
         raise ArgumentError("a stage that is being recorded, or whose chips lose bus writes, does not run on a GPU.")
 
 
