@@ -19,10 +19,10 @@ unnecessary macros lower the return. The travel of an axis pays the same at each
 axes), so that a step of it pays for its macros. The setting `discount` remains 1: with the learner's GAMMA, nearly all of the
 reward would come at the end of an episode, and a policy that does not yet succeed would have little reward to learn from.
 
-`learn` writes for each level the policy, its temperature, and the curve so far: a CSV file with a row for each validation. A run
-with the same seed learns the same policy again. `evaluate` plays the test episodes of a policy's level, and counts successes by
-the directions of the targets. `submit` plays the test episodes of the benchmark and packs them, see docs/benchmark.md. Needs the
-extra `rl`.
+`learn` writes for each level the policy, its temperature with the length of the run, and the curve so far: a CSV file with a row
+for each validation. A run with the same seed learns the same policy again. `evaluate` plays the test episodes of a policy's
+level, and counts successes by the directions of the targets. `submit` plays the test episodes of the benchmark and packs them,
+see docs/benchmark.md. Needs the extra `rl`.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, make_dqn
 from registerbench.baselines.bus_macros_role_order import AxisRoles, AxisRolesVecEnv, MixedLevelsVecEnv
-from registerbench.baselines.learner_support import compute_wilson_interval, make_parser, read_cost
-from registerbench.benchmark_tasks import FIRST_TEST_SEED
+from registerbench.baselines.learner_support import compute_wilson_interval, make_parser, read_cost, read_training
+from registerbench.benchmark_tasks import FIRST_TEST_SEED, OPEN_ROUND
 from stage.envs.sb3 import StageVecEnv
 
 ID = "stage/BusMacros-v1"
@@ -274,7 +274,8 @@ def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
                 model.start_level()
         envs.seed(10_000 * (seed + 1) + 1_000 * list(LEVELS).index(level))
         model.learn(int(steps * PPO_STEPS_FACTOR[method] * times), callback=callback, reset_num_timesteps=False)
-        path.with_suffix(".json").write_text(json.dumps(callback.choose_temperature()))
+        stored = {**callback.choose_temperature(), "times": times, "level": level}
+        path.with_suffix(".json").write_text(json.dumps(stored))
         envs.close()
         model.save(path.with_suffix(".zip"))
 
@@ -297,7 +298,7 @@ def evaluate(path: Path) -> None:
     )
 
 
-def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
+def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_: str = OPEN_ROUND) -> None:
     """Play the test episodes with a policy, and write an entry for each task and split.
 
     Args:
@@ -305,10 +306,12 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
         splits: Names of the splits.
         tasks: Names of the cards.
         folder: Folder of the entries.
+        round_: Round of the benchmark.
     """
     torch.set_num_threads(1)
     _, method, run = path.stem.split("-")
-    settings = {"name": f"{method}-masked", "cost": read_cost(path)}
+    training = read_training(path, "bus_macros_learners", method, ("times", "level"))
+    settings = {"name": f"{method}-masked", "cost": read_cost(path), "training": training, "round_": round_}
     for task, split in product(tasks, splits):
         write_entry(MacroPolicy.load(path), task, split, folder, method, int(run), **settings)
 

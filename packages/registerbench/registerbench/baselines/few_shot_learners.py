@@ -31,8 +31,10 @@ from registerbench.baselines.learner_support import (
     LearningCurveWriter,
     make_parser,
     read_cost,
+    read_training,
     save_policy,
 )
+from registerbench.benchmark_tasks import OPEN_ROUND
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
@@ -131,7 +133,7 @@ class FewShotPolicy:
         return np.clip(action, -1, 1)
 
 
-def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
+def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_: str = OPEN_ROUND) -> None:
     """Play the test episodes of each split with a policy, and write the entries.
 
     Args:
@@ -139,11 +141,18 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
         splits: Names of the splits.
         tasks: Not used: there is one task.
         folder: Folder of the entries.
+        round_: Round of the benchmark.
     """
     torch.set_num_threads(1)
     method, run = path.stem.split("-")
+    settings = {
+        "settings": {"memory": METHODS[method]},
+        "name": f"ppo, memory {method}",
+        "cost": read_cost(path),
+        "training": read_training(path, "few_shot_learners", method),
+        "round_": round_,
+    }
     for split in splits:
-        settings = {"settings": {"memory": METHODS[method]}, "name": f"ppo, memory {method}", "cost": read_cost(path)}
         write_entry(FewShotPolicy(method, path), TASK, split, folder, f"ppo-{method}", int(run), **settings)
 
 

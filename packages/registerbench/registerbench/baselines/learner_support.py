@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,6 +13,9 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper
+
+from registerbench.baselines.training_commands import add_enter_command, format_training_command, write_new_entry
+from registerbench.benchmark_tasks import OPEN_ROUND
 
 
 class EpisodeRecorder(VecEnvWrapper):
@@ -91,7 +95,7 @@ def compute_wilson_interval(successes: int, trials: int, z: float = 1.96) -> tup
 
 
 def save_policy(model: Any, path: Path, steps: int) -> None:
-    """Save a model as a ZIP file, and print its path.
+    """Save a model as a ZIP file and the number of its steps as JSON, and print its path.
 
     Args:
         model: Model of Stable-Baselines3.
@@ -99,7 +103,21 @@ def save_policy(model: Any, path: Path, steps: int) -> None:
         steps: Number of steps of its training.
     """
     model.save(path.with_suffix(".zip"))
+    path.with_suffix(".json").write_text(json.dumps({"steps": steps}))
     print(f"{path}.zip: {steps} steps", flush=True)
+
+
+def read_training(policy: Path, module: str, method: str, names: Sequence[str] = ("steps",)) -> str:
+    """Return the training command of the entries of a policy, with the options that its JSON file states.
+
+    Args:
+        policy: Policy that `learn` wrote.
+        module: Name of the learner's module.
+        method: Name of the method.
+        names: Names of the options.
+    """
+    stored = json.loads(policy.with_suffix(".json").read_text())
+    return format_training_command(module, method, {name: stored[name] for name in names})
 
 
 def make_parser(
@@ -107,12 +125,12 @@ def make_parser(
     methods: Sequence[str],
     steps: float,
     learn: Callable[..., None],
-    submit: Callable[[Path, list[str], list[str], Path], None],
+    submit: Callable[[Path, list[str], list[str], Path, str], None],
     tasks: Sequence[str],
     levels: Sequence[str] = (),
     evaluate: Callable[[Path], None] | None = None,
 ) -> argparse.ArgumentParser:
-    """Make the parser of a learner with the commands `learn METHOD`, `submit POLICY` and, if given, `evaluate POLICY`.
+    """Make the parser of a learner with the commands `learn`, `submit`, `enter` (see training_commands.py) and perhaps `evaluate`.
 
     Args:
         doc: Description of the program.
@@ -129,14 +147,9 @@ def make_parser(
     p = commands.add_parser("learn")
     p.add_argument("method", choices=methods)
     p.add_argument("--seed", type=int, default=0)
-    if levels:
-        p.add_argument("--times", type=float, default=steps, metavar="X", help="as many steps as it has")
-    else:
-        p.add_argument("--steps", type=int, default=steps)
+    _add_length_options(p, steps, levels)
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
-    if levels:
-        p.add_argument("--level", choices=levels, default=levels[0], help="at which its curriculum ends")
-    p.set_defaults(run=lambda a: learn(a.method, a.seed, *([a.times, a.level] if levels else [a.steps]), a.out))
+    p.set_defaults(run=lambda a: learn(a.method, a.seed, *_get_length(a, levels), a.out))
     if evaluate is not None:
         p = commands.add_parser("evaluate")
         p.add_argument("policy", type=Path, nargs="+")
@@ -145,6 +158,36 @@ def make_parser(
     p.add_argument("policy", type=Path, nargs="+")
     p.add_argument("--splits", nargs="+", default=["train"])
     p.add_argument("--tasks", nargs="+", default=list(tasks), choices=tasks)
+    p.add_argument("--round", default=OPEN_ROUND, metavar="WORD", help="whose test episodes (default: the open ones)")
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
-    p.set_defaults(run=lambda a: [submit(path, a.splits, a.tasks, a.out) for path in a.policy])
+    p.set_defaults(run=lambda a: [submit(path, a.splits, a.tasks, a.out, a.round) for path in a.policy])
+    p = add_enter_command(commands, list(methods), list(tasks))
+    _add_length_options(p, steps, levels)
+
+    def enter(a: argparse.Namespace) -> None:
+        """Train a run, and write its entry."""
+
+        def train_and_submit(folder: Path) -> None:
+            learn(a.method, a.run_number, *_get_length(a, levels), folder)
+            name = f"{a.level}-{a.method}" if levels else a.method
+            (policy,) = folder.glob(f"*{name}-{a.run_number}.zip")
+            submit(policy, [a.split], [a.task], folder, a.round)
+
+        write_new_entry(train_and_submit, a.out)
+
+    p.set_defaults(run=enter)
     return parser
+
+
+def _add_length_options(p: argparse.ArgumentParser, steps: float, levels: Sequence[str]) -> None:
+    """Add the options that determine how long a run is; see `make_parser`."""
+    if levels:
+        p.add_argument("--times", type=float, default=steps, metavar="X", help="as many steps as it has")
+        p.add_argument("--level", choices=levels, default=levels[0], help="at which its curriculum ends")
+    else:
+        p.add_argument("--steps", type=int, default=steps)
+
+
+def _get_length(args: argparse.Namespace, levels: Sequence[str]) -> list[Any]:
+    """Return the arguments of `learn` that determine how long a run is."""
+    return [args.times, args.level] if levels else [args.steps]

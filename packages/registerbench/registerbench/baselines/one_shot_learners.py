@@ -24,9 +24,11 @@ from registerbench.baselines.learner_support import (
     LearningCurveWriter,
     make_parser,
     read_cost,
+    read_training,
     save_policy,
 )
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS
+from registerbench.benchmark_tasks import OPEN_ROUND
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/OneShotTuning-v1", "one-shot"
@@ -82,7 +84,7 @@ class OneShotPolicy:
         return np.clip(self.model.predict(observation, deterministic=True)[0], -1, 1)
 
 
-def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
+def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_: str = OPEN_ROUND) -> None:
     """Play the test episodes of each split with a policy, and write the entries.
 
     Args:
@@ -90,13 +92,13 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
         splits: Names of the splits.
         tasks: Not used: there is one task.
         folder: Folder of the entries.
+        round_: Round of the benchmark.
     """
     torch.set_num_threads(1)
     method, run = path.stem.partition("_")[2].split("-")
+    settings = {"name": method, "cost": read_cost(path), "training": read_training(path, "one_shot_learners", method)}
     for split in splits:
-        write_entry(
-            OneShotPolicy(method, path), TASK, split, folder, method, int(run), name=method, cost=read_cost(path)
-        )
+        write_entry(OneShotPolicy(method, path), TASK, split, folder, method, int(run), round_=round_, **settings)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ import argparse
 import csv
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.outcomes_by_speed_factor import learn_policy_numbers, measure_outcomes_by_speed_factor
 from registerbench.baselines.parametric_policies import PARAMETRIC_POLICIES, ParametricPolicy, SpeedFactorPolicy
+from registerbench.baselines.training_commands import add_enter_command, format_training_command, write_new_entry
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 
@@ -153,18 +155,19 @@ class ParametricPolicyLearner:
             self.add_curve_point(z)
         return z
 
-    def write_policy(self, cma_numbers: np.ndarray, path: Path) -> None:
+    def write_policy(self, cma_numbers: np.ndarray, path: Path, length: dict[str, int]) -> None:
         """Write the policy (JSON) and its learning curve (CSV), and print the points of the curve.
 
         Args:
             cma_numbers: Numbers of CMA-ES, which `ParametricPolicy.scale_numbers` converts.
             path: File without its suffix.
+            length: What determines how long the run is: "generations", or "machines" of a table.
         """
         cost = {"moves": self.moves, "processor_s": round(self.seconds, 1)}
         w = self.policy_class.scale_numbers(cma_numbers).round(4).tolist()
         with path.with_suffix(".csv").open("w", newline="") as file:
             csv.writer(file).writerows(self.rows)
-        path.with_suffix(".json").write_text(json.dumps({"w": w, "cost": cost}))
+        path.with_suffix(".json").write_text(json.dumps({"w": w, "cost": cost, "length": length}))
         at = {r[0]: np.mean([float(x[3]) for x in self.rows[1:] if x[0] == r[0]]) for r in self.rows[1:]}
         print(f"{path}: {', '.join(f'{k}: {v:.3f}' for k, v in at.items())}; {w}, {cost['processor_s']} s", flush=True)
 
@@ -173,8 +176,15 @@ class ParametricPolicyLearner:
         self.testing.close()
 
 
-def learn(task: str, run: int, folder: Path, generations: int | None = None, machines: int = TABLE_MACHINES) -> None:
-    """Learn each policy of a task with CMA-ES, and write its numbers and its learning curve, unless they exist.
+def learn(
+    task: str,
+    run: int,
+    folder: Path,
+    generations: int | None = None,
+    machines: int = TABLE_MACHINES,
+    players: Sequence[str] | None = None,
+) -> None:
+    """Learn policies of a task with CMA-ES, and write their numbers and their learning curves, unless they exist.
 
     Args:
         task: Name of a card.
@@ -182,13 +192,12 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
         folder: Folder of the files.
         generations: Number of generations; None: that of BUDGET.
         machines: Number of machines of the table, for a policy that learns on one.
+        players: Names of the players whose policies are learned; None: all of the task.
     """
-    players = {
-        player: folder / f"{task}_{player.replace(' ', '-')}-{run}" for t, player in PARAMETRIC_POLICIES if t == task
-    }
     folder.mkdir(parents=True, exist_ok=True)
     table, spent = None, 0.0
-    for player, path in players.items():
+    for player in (p for t, p in PARAMETRIC_POLICIES if t == task and p in (players or [p])):
+        path = folder / f"{task}_{player.replace(' ', '-')}-{run}"
         if path.with_suffix(".json").exists():
             continue
         learner = ParametricPolicyLearner(task, player, run)
@@ -199,9 +208,10 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
                 spent = time.process_time() - start_s
                 print(f"{task} {run}: tried {machines} machines, {spent:.1f} s", flush=True)
             learner.seconds = spent
-            learner.write_policy(learner.learn_numbers_on_table(table), path)
+            learner.write_policy(learner.learn_numbers_on_table(table), path, {"machines": machines})
         else:
-            learner.write_policy(learner.learn_numbers(generations or learner.generations), path)
+            count = generations or learner.generations
+            learner.write_policy(learner.learn_numbers(count), path, {"generations": count})
         learner.close()
 
 
@@ -236,7 +246,8 @@ def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN_ROUND
     method, _, run = name.rpartition("-")
     player = method.replace("-", " ")
     settings = {"memory": "last"} if "memory" in CARDS[task].choices else {}
-    arguments = {"settings": settings, "name": player, "cost": stored["cost"], "round_": round_}
+    training = format_training_command("parametric_policy_learners", method, stored["length"])
+    arguments = {"settings": settings, "name": player, "cost": stored["cost"], "round_": round_, "training": training}
     for split in splits:
         write_entry(
             ParametricPolicyPlayer(PARAMETRIC_POLICIES[task, player], stored["w"]),
@@ -247,6 +258,17 @@ def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN_ROUND
             int(run),
             **arguments,
         )
+
+
+def enter(args: argparse.Namespace) -> None:
+    """Train a run of one policy, and write its entry."""
+
+    def train_and_submit(folder: Path) -> None:
+        player = args.method.replace("-", " ")
+        learn(args.task, args.run_number, folder, args.generations, args.machines, [player])
+        submit(folder / f"{args.task}_{args.method}-{args.run_number}.json", [args.split], folder, args.round)
+
+    write_new_entry(train_and_submit, args.out)
 
 
 def main() -> None:
@@ -263,6 +285,13 @@ def main() -> None:
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
     p.add_argument("--round", default=OPEN_ROUND, metavar="WORD", help="whose test episodes (default: the open ones)")
     p.set_defaults(run=lambda a: [submit(path, a.splits, a.out, a.round) for path in a.policy])
+    methods = dict.fromkeys(player.replace(" ", "-") for _, player in PARAMETRIC_POLICIES)
+    p = add_enter_command(commands, list(methods), list(dict.fromkeys(task for task, _ in PARAMETRIC_POLICIES)))
+    p.add_argument("--generations", type=int, metavar="N", help="of a policy that learns in the environments")
+    p.add_argument(
+        "--machines", type=int, default=TABLE_MACHINES, metavar="N", help="of a policy that learns on a table"
+    )
+    p.set_defaults(run=enter)
     args = parser.parse_args()
     with explain_interrupt("the finished runs are saved, and the same command continues after them."):
         args.run(args)
