@@ -72,7 +72,7 @@ PLATFORMS: dict[str, Platform] = {
                  ("arduino", "avr"), has_cplusplus_headers=True, flags=(
                      "-DPULSESTAGE_ARDUINO", "-DARDUINO=10819", "-DF_CPU=16000000L", "-DARDUINO_ARCH_AVR", "-DARDUINO_AVR_UNO",
                      *_AVR_FLAGS,
-                 ), sources=_AVR_SOURCES),
+                 ), sources=(*_AVR_SOURCES, "arduino/HardwareSerial.cpp", "arduino/WString.cpp")),
         Platform("avr", "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h", ("main",), "avr/entry.cpp", ("avr",),
                  has_cplusplus_headers=True, flags=_AVR_FLAGS, sources=_AVR_SOURCES),
         Platform("vxworks", "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib", ("usrAppInit",), "vxworks/entry.c",

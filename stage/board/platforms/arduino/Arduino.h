@@ -16,12 +16,15 @@ extern "C++" { /* also where a program in C is included */
 #include <WCharacter.h>
 #include <binary.h>
 #include <ctype.h>
-#include <math.h>
+#include <initializer_list> /* for (int pin : {2, 3}) */
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 #include <type_traits>
+#define _GLIBCXX_INCLUDE_NEXT_C_HEADERS /* the functions of C, as on the board: those of C++ take long to compile */
+#include <math.h>
+#undef _GLIBCXX_INCLUDE_NEXT_C_HEADERS
 
 #ifndef ARDUINO /* which libraries ask for before they include this */
 #define ARDUINO 10819
