@@ -58,6 +58,11 @@ LINK_HINT = (
 _UNDEFINED = re.compile(r"undefined (?:reference to|symbol:?) [`'\"]?(.+?)['\"]?$", re.M)
 _LINKER_ERROR = re.compile(r"^collect2: |ld returned \d|linker command failed", re.M)
 _GCC_FLAG = "-fno-gnu-unique"
+_REPORT_FLAGS = (
+    ("-fsanitize=thread", "--param=tsan-distinguish-volatile=1", "-Wno-tsan"),
+    ("-fsanitize=thread", "-mllvm", "-tsan-distinguish-volatile=1"),
+)
+"""Flags of GCC and of Clang with which compiled C calls functions before each access to memory, and before volatile ones others."""
 METER = Path(__file__).parent / "meter.c"
 """Source of the counter of basic blocks, for firmware whose computing takes time."""
 MACHINES = {
@@ -165,17 +170,26 @@ def build(
             )
             flags = ("-fsanitize-coverage=trace-pc", meter, *flags)
         recipe = platforms.make_recipe(
-            target, files, Path(folder), lambda source, more: _needs_cplusplus(source, more, flags, folder), flags
+            target,
+            files,
+            Path(folder),
+            lambda source, more: _preprocess(source, more, flags, folder),
+            flags,
+            _find_report_flags(tuple(flags)) if target is not None and target.c_registers else (),
         )
         common = ["-fPIC", "-O2", "-g", *recipe.flags, f"-I{get_include_folder()}"]
-        messages, objects = [], []
+        messages, objects = [_describe_unreported(source, flags) for source in recipe.unreported], []
         for k, source in enumerate(recipe.c_files):
             objects.append(f"{folder}/{k}-{source.stem}.o")
-            command = [*find_compiler().split(), "-c", *common, *_select_c_flags(flags), str(source), "-o", objects[-1]]
-            messages.append(_compile(source, command, target))
+            command = [
+                *find_compiler().split(), "-c", *common, *recipe.c_flags, *_select_c_flags(flags), str(source), "-o", objects[-1],
+            ]  # fmt: skip
+            messages.append(_compile(recipe.originals.get(source, source), command, target))
         name = find_compiler("x.cpp" if recipe.cplusplus else "x.c")
         more = [*common, *recipe.cplusplus_flags]
         more += _list_cplusplus_flags(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()
+        if recipe.registers is not None:
+            objects.append(_compile_registers(recipe.registers, name, recipe.flags, flags, Path(folder)))
         sources_to_link: Sequence[str] = recipe.files
         if recipe.cplusplus and compiled_object_cache.can_cache(flags):
             command = [*name.split(), "-c", *more, *_select_compiler_flags(flags)]
@@ -222,6 +236,30 @@ def _compile_cplusplus(
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(compile_source, enumerate(sources)))
+
+
+def _compile_registers(
+    source: Path, compiler: str, platform_flags: Sequence[str], flags: Sequence[str], folder: Path
+) -> str:
+    """Compile the source of the registers for programs in C, without what the user's flags add to code, such as a meter.
+
+    Args:
+        source: The source.
+        compiler: The compiler for C++.
+        platform_flags: Flags of the platform.
+        flags: Flags of the user, of which definitions and those of the processor are used.
+        folder: Folder for temporary files.
+
+    Returns:
+        The object file.
+    """
+    selected = [flag for flag in flags if flag[:2] in ("-D", "-U", "-m")]
+    command = [
+        *compiler.split(), "-c", "-fPIC", "-O2", "-g", *_list_flags_for_statics(compiler), *platform_flags,
+        f"-I{get_include_folder()}", *selected,
+    ]  # fmt: skip
+    ((output, _),) = _compile_cplusplus([str(source)], compiler, command, folder, source, None)
+    return str(output)
 
 
 def _leave_out_user_folders(command: Sequence[str]) -> list[str]:
@@ -307,18 +345,45 @@ def _is_loaded(symbol: str) -> bool:
     return bool(re.match("__(?:[a-z]{1,2}san_|sanitizer_)", symbol)) or hasattr(ctypes.CDLL(None), symbol)
 
 
-def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> bool:
-    """Return whether a C source includes a header of its platform that is written in C++ here."""
+def _preprocess(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> str:
+    """Return the preprocessed text of a C source, in which registers can be memory, and the errors of the preprocessor."""
+    output = Path(folder, "preprocessed")
     command = [
-        *find_compiler().split(),
-        "-E",
-        *platform_flags,
-        f"-I{get_include_folder()}",
-        *_select_c_flags(flags),
-        str(source),
-    ]
-    command += ["-o", f"{folder}/preprocessed"]
-    return platforms.IS_CPLUSPLUS in run_program(command).stderr
+        *find_compiler().split(), "-E", *platform_flags, f"-D{platforms.REGISTERS_IN_C}", f"-I{get_include_folder()}",
+        *_select_c_flags(flags), str(source), "-o", str(output),
+    ]  # fmt: skip
+    errors = run_program(command).stderr
+    return errors + (output.read_text(**platforms.ENCODING) if output.is_file() else "")
+
+
+def _find_report_flags(flags: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the flags with which the C compiler reports accesses to memory; empty if it cannot, with these flags of the user."""
+    return _try_report_flags(
+        find_compiler(), tuple(flag for flag in _select_c_flags(flags) if flag[:2] in ("-f", "-m"))
+    )
+
+
+@functools.cache
+def _try_report_flags(compiler: str, flags: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the first of `_REPORT_FLAGS` with which a compiler reports a volatile access, or an empty tuple."""
+    with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
+        source, output = Path(folder, "probe.c"), Path(folder, "probe.o")
+        source.write_text("int probe(volatile int *at) { return *at; }\n", encoding="utf-8")
+        for candidate in _REPORT_FLAGS:
+            result = run_program([*compiler.split(), "-c", *candidate, *flags, str(source), "-o", str(output)])
+            if result.returncode == 0 and b"__tsan_volatile_read4" in output.read_bytes():
+                return candidate
+    return ()
+
+
+def _describe_unreported(source: Path, flags: Sequence[str]) -> str:
+    """Return the message about a C source that is compiled as C++ because the compiler does not report its accesses."""
+    blocked = [flag for flag in flags if re.match(r"-fsanitize=|-flto", flag)]
+    reason = f" with {' '.join(blocked)}" if blocked and _find_report_flags(()) else ""
+    return (
+        f"{source}: compiled as C++, because {find_compiler()}{reason} does not report accesses to registers. gcc 11 and later do, "
+        "without -flto and the sanitizers address, leak and thread; in C++, names such as `new` and `class` do not compile."
+    )
 
 
 def _select_c_flags(flags: Sequence[str]) -> list[str]:
@@ -331,9 +396,9 @@ def _select_c_flags(flags: Sequence[str]) -> list[str]:
 
 
 def _select_compiler_flags(flags: Sequence[str]) -> list[str]:
-    """Return the flags without those of the linker and without files."""
+    """Return the flags for sources in C++: without those of the linker, without files, and without the standard of C."""
     return [
-        *(flag for flag in flags if flag.startswith("-std=")),
+        *(flag for flag in flags if re.match(r"-std=(?:c|gnu)\+\+", flag)),
         *(f for f in _select_c_flags(flags) if f[:5] != "-std="),
     ]
 

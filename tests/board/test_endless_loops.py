@@ -8,6 +8,7 @@ from stage.board import Board, NativeHost
 C = """
 #include <avr/io.h>
 #include <avr/interrupt.h>
+#include <stdbool.h>
 #include "own.h"
 ISR(TIMER1_COMPA_vect) { PIND = 1 << 2; }
 int main(void)

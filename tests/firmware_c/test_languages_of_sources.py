@@ -96,7 +96,7 @@ def test_an_avr_program_in_c_finds_other_sources_in_c_and_may_end_a_function_wit
     # stage run main.c count.c --platform avr
     sources = write(tmp_path, main_c=AVR, count_c=ONLY_C)
     with pytest.warns(CompilerWarning) as warned:
-        library = build(sources, platform="avr")
+        library = build(sources, platform="avr", flags=["-Wall"])
     assert NativeHost(library, board, isolated=True).run().code == 7 + 2
     (printed_text,) = (str(warning.message) for warning in warned if warning.category is CompilerWarning)
     assert re.search(r"main\.c:7:\d+: warning: .*(?:end of|does not return a value).* \[-Wreturn-type\]", printed_text)

@@ -54,7 +54,7 @@ def test_the_four_programs_run_as_the_page_says(line, monkeypatch, capsys):
 
 def test_the_commands_of_the_page_make_the_same_libraries(tmp_path):
     command = f'stage() {{ "{sys.executable}" -m stage "$@"; }}\nset -e\n' + re.sub(
-        r" -o (\w+\.so)", rf" -o {tmp_path}/\1", BY_HAND
+        r"(?<= )(\w+\.so|main\.o)(?= |$)", rf"{tmp_path}/\1", BY_HAND, flags=re.M
     )
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run(["bash", "-c", command], cwd=PORTS, env=environment, check=True)

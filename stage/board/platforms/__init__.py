@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum, auto
 from pathlib import Path
 
 from stage.board.platforms.arduino_library_folder import (
@@ -26,6 +27,12 @@ WRAPPER = ".pulsestage.cpp"
 """Ending of files that are made to compile C as C++."""
 IS_CPLUSPLUS = "is C++ here"
 """Error message of a header that has to be compiled as C++."""
+REGISTERS_IN_C = "PULSESTAGE_REGISTERS_IN_C"
+"""Macro with which headers of registers can be included in C: the compiler reports each access to memory."""
+_REGISTER_HEADER = "avr/registers_.h"
+_BOARD_WORDS = re.compile(r"\bps_\w+\s*\(|\bPULSESTAGE_MAIN\b")
+"""Names of pulsestage.h, which the headers of registers include in C++, and which programs in C may expect from them."""
+_CPLUSPLUS_WORDS = re.compile(r"\bPinBus\b|\bpulsestage::")
 _ENDLESS_LOOP = re.compile(r"\b(for\s*\(\s*;\s*;\s*\)|while\s*\(\s*(?:1|true)\s*\))\s*(?:;|\{\s*\})")
 ENCODING = {"encoding": "utf-8", "errors": "surrogateescape"}
 """Encoding in which sources are read and written: those of other encodings keep their bytes."""
@@ -42,6 +49,7 @@ class Platform:
         entry: The source that calls the program.
         folders: Folders of headers, the first in front.
         has_cplusplus_headers: Whether sources in C that include some of its headers are compiled as C++.
+        c_registers: Source that is compiled with programs in C that include headers of registers.
         flags: For the compiler.
         sources: Sources that are compiled with each program.
         defaults: A folder of headers for programs that do not have them.
@@ -55,6 +63,7 @@ class Platform:
     entry: str
     folders: tuple[str, ...]
     has_cplusplus_headers: bool = False
+    c_registers: str = ""
     flags: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     defaults: str = ""
@@ -69,12 +78,12 @@ PLATFORMS: dict[str, Platform] = {
     p.name: p
     for p in (
         Platform("arduino", "an Arduino sketch: setup and loop, pins, Serial", ("setup", "loop"), "arduino/entry.cpp",
-                 ("arduino", "avr"), has_cplusplus_headers=True, flags=(
+                 ("arduino", "avr"), has_cplusplus_headers=True, c_registers="avr/registers.cpp", flags=(
                      "-DPULSESTAGE_ARDUINO", "-DARDUINO=10819", "-DF_CPU=16000000L", "-DARDUINO_ARCH_AVR", "-DARDUINO_AVR_UNO",
                      *_AVR_FLAGS,
                  ), sources=(*_AVR_SOURCES, "arduino/HardwareSerial.cpp", "arduino/WString.cpp")),
         Platform("avr", "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h", ("main",), "avr/entry.cpp", ("avr",),
-                 has_cplusplus_headers=True, flags=_AVR_FLAGS, sources=_AVR_SOURCES),
+                 has_cplusplus_headers=True, c_registers="avr/registers.cpp", flags=_AVR_FLAGS, sources=_AVR_SOURCES),
         Platform("vxworks", "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib", ("usrAppInit",), "vxworks/entry.c",
                  ("vxworks",)),
         Platform("dos", "a DOS program of Borland, Microsoft or Watcom C: dos.h, conio.h", ("main",), "dos/entry.c", ("dos",),
@@ -97,16 +106,33 @@ class Recipe:
         files: Sources for the compiler that links the library: C, or C++ if `cplusplus`.
         c_files: Sources in C beside C++, compiled before.
         flags: For all of them.
+        c_flags: For C only.
         cplusplus_flags: For C++ only.
         is_like_c: Whether C++ includes sources in C.
+        registers: Source of the registers for programs in C, if there are some.
+        unreported: Sources in C that are compiled as C++ because the compiler does not report accesses to registers.
+        originals: The sources by the files in C that were made from them.
     """
 
     files: tuple[str, ...]
     c_files: tuple[Path, ...] = ()
     flags: tuple[str, ...] = ()
+    c_flags: tuple[str, ...] = ()
     cplusplus_flags: tuple[str, ...] = ()
     cplusplus: bool = False
     is_like_c: bool = False
+    registers: Path | None = None
+    unreported: tuple[Path, ...] = ()
+    originals: Mapping[Path, Path] = field(default_factory=dict)
+
+
+class CSource(Enum):
+    """The kinds of sources in C."""
+
+    PLAIN = auto()
+    WITH_REGISTERS = auto()
+    CPLUSPLUS = auto()
+    """It includes headers that are C++ here, or uses their classes."""
 
 
 def find_platform(
@@ -142,8 +168,9 @@ def make_recipe(
     platform: Platform | None,
     sources: Sequence[Path],
     folder: Path,
-    needs_cplusplus: Callable[[Path, Sequence[str]], bool] = lambda source, flags: False,
+    preprocess: Callable[[Path, Sequence[str]], str] = lambda source, flags: "",
     user_flags: Sequence[str] = (),
+    report_flags: Sequence[str] = (),
 ) -> Recipe:
     """Choose how sources are compiled: C as C, unless it includes headers of its platform that are C++ here.
 
@@ -151,8 +178,9 @@ def make_recipe(
         platform: What they were written for, if they were for one.
         sources: In C, C++, or sketches.
         folder: Where translated sketches are written, and C++ that includes sources in C.
-        needs_cplusplus: Whether a source in C includes such headers, with these flags.
+        preprocess: Function that returns the preprocessed text of a source in C, with the errors, for these flags.
         user_flags: Flags of the user, whose definitions take the place of the platform's.
+        report_flags: Flags with which the C compiler reports each access to memory; empty if it cannot.
 
     Raises:
         ArgumentError: The function is missing that the program begins with.
@@ -189,13 +217,52 @@ def make_recipe(
     files += [file for library in platform.libraries for file in library.sources]
     if not platform.has_cplusplus_headers:
         return _split_languages(files, flags)
-    is_like_c = [file.suffix == ".c" and needs_cplusplus(file, flags) for file in files]
-    own_folders = dict.fromkeys(file.parent for file, is_wrapped in zip(files, is_like_c, strict=True) if is_wrapped)
-    flags += [text for parent in own_folders for text in ("-iquote", str(parent))]
-    files = [
-        _include_c(file, folder / f"{k}-{file.name}{WRAPPER}") if is_like_c[k] else file for k, file in enumerate(files)
+    return _make_register_recipe(platform, files, flags, folder, preprocess, report_flags)
+
+
+def _make_register_recipe(
+    platform: Platform,
+    files: Sequence[Path],
+    flags: Sequence[str],
+    folder: Path,
+    preprocess: Callable[[Path, Sequence[str]], str],
+    report_flags: Sequence[str],
+) -> Recipe:
+    """Choose how sources of a platform with registers are compiled. The arguments are those of `make_recipe`."""
+    kinds = {file: _classify_c_source(preprocess(file, flags)) for file in files if file.suffix == ".c"}
+    with_registers = [file for file, kind in kinds.items() if kind is CSource.WITH_REGISTERS]
+    unreported = [] if report_flags else with_registers
+    sources: list[Path] = []
+    changed: dict[Path, Path] = {}
+    for k, file in enumerate(files):
+        sources.append(file)
+        if kinds.get(file) is CSource.CPLUSPLUS or file in unreported:
+            sources[-1] = _include_c(file, folder / f"{k}-{file.name}{WRAPPER}")
+        elif file in with_registers:
+            sources[-1] = _adapt_c(file, folder / f"{k}-{file.name}")
+        if sources[-1] != file:
+            changed[sources[-1]] = file
+    flags = [
+        *flags,
+        *(text for f in dict.fromkeys(file.parent for file in changed.values()) for text in ("-iquote", str(f))),
     ]
-    return replace(_split_languages(files, flags), cplusplus_flags=("-fpermissive",), is_like_c=any(is_like_c))
+    reports = bool(with_registers and report_flags)
+    return replace(
+        _split_languages(sources, flags),
+        c_flags=(f"-D{REGISTERS_IN_C}", *report_flags) if reports else (),
+        cplusplus_flags=("-fpermissive",),
+        is_like_c=any(file.name.endswith(WRAPPER) for file in changed),
+        registers=FOLDER / platform.c_registers if reports else None,
+        unreported=tuple(unreported),
+        originals=changed,
+    )
+
+
+def _classify_c_source(preprocessed: str) -> CSource:
+    """Return the kind of a source in C by its preprocessed text with the errors of the preprocessor."""
+    if IS_CPLUSPLUS in preprocessed or _CPLUSPLUS_WORDS.search(preprocessed):
+        return CSource.CPLUSPLUS
+    return CSource.WITH_REGISTERS if _REGISTER_HEADER in preprocessed else CSource.PLAIN
 
 
 def _replace_definitions(flags: Sequence[str], user_flags: Sequence[str]) -> list[str]:
@@ -226,15 +293,31 @@ def remove_wrappers(message: str) -> str:
 
 
 def _include_c(source: Path, wrapper: Path) -> Path:
-    """Write a file in C++ that is a source in C: other sources in C find its functions under their own names.
+    """Write a file in C++ that is a source in C: other sources in C find its functions under their own names."""
+    content = _add_waits(source) or f'#include "{source.resolve()}"'
+    wrapper.write_text(f'extern "C" {{\n{content}\n}}\n', **ENCODING)
+    return wrapper
 
-    Endless loops with nothing in them, at the end of many programs for microcontrollers, let time pass there.
+
+def _adapt_c(source: Path, copy: Path) -> Path:
+    """Return a source in C, or a copy with waits in endless loops and, if it has names of pulsestage.h, with that header."""
+    text = source.read_text(**ENCODING)
+    header = "#include <pulsestage.h>\n" if _BOARD_WORDS.search(text) else ""
+    content = _add_waits(source)
+    if not (header or content):
+        return source
+    copy.write_text(header + (content or f'#line 1 "{source.resolve()}"\n{text}'), **ENCODING)
+    return copy
+
+
+def _add_waits(source: Path) -> str:
+    """Return the text of a source in C whose endless loops with nothing in them, at the end of many programs, let time pass.
+
+    The text is empty if there are no such loops.
     """
     text = source.read_text(**ENCODING)
     waiting = _ENDLESS_LOOP.sub(_let_time_pass, text)
-    content = f'#include "{source.resolve()}"' if waiting == text else f'#line 1 "{source.resolve()}"\n{waiting}'
-    wrapper.write_text(f'extern "C" {{\n{content}\n}}\n', **ENCODING)
-    return wrapper
+    return "" if waiting == text else f'#line 1 "{source.resolve()}"\n{waiting}'
 
 
 def _let_time_pass(match: re.Match[str]) -> str:

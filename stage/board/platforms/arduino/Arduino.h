@@ -5,6 +5,10 @@
 #ifndef PULSESTAGE_ARDUINO_H
 #define PULSESTAGE_ARDUINO_H
 
+#ifndef __cplusplus
+#error "Arduino.h is C++ here: build with --platform arduino"
+#endif
+
 extern "C++" { /* also where a program in C is included */
 
 #ifndef PULSESTAGE_ARDUINO

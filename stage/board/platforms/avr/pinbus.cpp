@@ -259,6 +259,7 @@ uint8_t look(int at, uint8_t mask, int64_t cycle)
 void follow_pointers()
 {
     Pins &p = pins();
+    finish_write();
     for (int at = 0; p.pointed && at < PORTS; at++) {
         if (p.ddr_memory[at] != p.ddr[at])
             change(p.ddr[at], at, p.ddr_memory[at]);

@@ -25,6 +25,10 @@
 #ifndef PULSESTAGE_PINBUS_H
 #define PULSESTAGE_PINBUS_H
 
+#ifndef __cplusplus
+#error "pinbus.h is C++ here: build with --platform"
+#endif
+
 extern "C++" { /* also where a program in C is included */
 
 #include <interruptline.h>
@@ -50,6 +54,7 @@ struct Pins {
     uint8_t buses[PORTS];                   /* pins of buses of chips */
     uint8_t timed[PORTS], timed_levels[PORTS]; /* pins whose level a timer makes while they are outputs, and that level */
     void (*renew)();                        /* brings timed_levels up to now */
+    void (*finish_write)();                 /* lets the last write of a program in C take effect; 0: there is none */
     bool pointed, pointed_inputs[PORTS];    /* whether the program has pointers to registers, and to those of inputs */
     uint8_t port_memory[PORTS], ddr_memory[PORTS], input_memory[PORTS], inputs_before[PORTS]; /* where they point, and the last
                                                                                              renewed levels */
@@ -213,6 +218,11 @@ void note_reads(int at, uint8_t inputs);
 /* What the program reads of a port, these bits of it. A pin that no bus drives costs a look at the clock, so that a loop which waits
  * for it goes on; `cycle` = 0: at once, without a bus cycle. */
 uint8_t look(int at, uint8_t mask = 0xFF, int64_t cycle = PS_WITH_CYCLE);
+inline void finish_write()
+{
+    if (pins().finish_write)
+        pins().finish_write();
+}
 /* Pointers to the registers of a port. A write through them reaches the pins, and what they read is renewed, at the next call that is
  * about pins, timers or time; a pulse that begins and ends between two such calls is not seen, nor is a write to PINx of what it reads. */
 void follow_pointers();

@@ -2,12 +2,13 @@
 #ifndef PULSESTAGE_AVR_EEPROM_H
 #define PULSESTAGE_AVR_EEPROM_H
 
-extern "C++" { /* also where a program in C is included */
-
 #include <avr/io.h>
+#include <stddef.h>
 
 #define EEMEM
 
+#ifdef __cplusplus
+extern "C++" { /* also where a program in C is included */
 namespace pulsestage
 {
 /* The byte at an address of the memory, or of a variable with EEMEM. */
@@ -27,25 +28,38 @@ inline void write_eeprom(void *at, uint8_t value)
     }
 }
 } // namespace pulsestage
+} /* extern "C++" */
 
+#define PULSESTAGE_EEPROM_FUNCTION(function) pulsestage::function
 #define eeprom_is_ready() (!pulsestage::eeprom().is_busy())
 #define eeprom_busy_wait() pulsestage::eeprom().wait()
+#else
+#define PULSESTAGE_EEPROM_FUNCTION(function) pulsestage_##function
+#pragma GCC visibility push(hidden)
+extern uint8_t pulsestage_read_eeprom(const void *at);
+extern void pulsestage_write_eeprom(void *at, uint8_t value);
+extern int pulsestage_eeprom_is_busy(void);
+extern void pulsestage_eeprom_wait(void);
+#pragma GCC visibility pop
+#define eeprom_is_ready() (!pulsestage_eeprom_is_busy())
+#define eeprom_busy_wait() pulsestage_eeprom_wait()
+#endif
 
 static inline void eeprom_read_block(void *to, const void *from, size_t n)
 {
     for (size_t k = 0; k < n; k++)
-        static_cast<uint8_t *>(to)[k] = pulsestage::read_eeprom(static_cast<const uint8_t *>(from) + k);
+        ((uint8_t *)to)[k] = PULSESTAGE_EEPROM_FUNCTION(read_eeprom)((const uint8_t *)from + k);
 }
 static inline void eeprom_write_block(const void *from, void *to, size_t n)
 {
     for (size_t k = 0; k < n; k++)
-        pulsestage::write_eeprom(static_cast<uint8_t *>(to) + k, static_cast<const uint8_t *>(from)[k]);
+        PULSESTAGE_EEPROM_FUNCTION(write_eeprom)((uint8_t *)to + k, ((const uint8_t *)from)[k]);
 }
 static inline void eeprom_update_block(const void *from, void *to, size_t n)
 {
     for (size_t k = 0; k < n; k++)
-        if (pulsestage::read_eeprom(static_cast<uint8_t *>(to) + k) != static_cast<const uint8_t *>(from)[k])
-            pulsestage::write_eeprom(static_cast<uint8_t *>(to) + k, static_cast<const uint8_t *>(from)[k]);
+        if (PULSESTAGE_EEPROM_FUNCTION(read_eeprom)((uint8_t *)to + k) != ((const uint8_t *)from)[k])
+            PULSESTAGE_EEPROM_FUNCTION(write_eeprom)((uint8_t *)to + k, ((const uint8_t *)from)[k]);
 }
 #define PULSESTAGE_EEPROM_VALUE(name, type)                                                                            \
     static inline type eeprom_read_##name(const type *from)                                                            \
@@ -61,6 +75,4 @@ PULSESTAGE_EEPROM_VALUE(word, uint16_t)
 PULSESTAGE_EEPROM_VALUE(dword, uint32_t)
 PULSESTAGE_EEPROM_VALUE(float, float)
 #undef PULSESTAGE_EEPROM_VALUE
-
-} /* extern "C++" */
 #endif

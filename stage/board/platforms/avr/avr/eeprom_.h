@@ -11,12 +11,6 @@ extern "C++" { /* also where a program in C is included */
 #include <stdio.h>
 #include <string.h>
 
-#if defined(__AVR_ATmega2560__)
-#define E2END 0xFFF
-#else
-#define E2END 0x3FF
-#endif
-
 namespace pulsestage
 {
 enum { EEPROM_BYTE_US = 3300 };

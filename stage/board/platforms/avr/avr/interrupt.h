@@ -4,11 +4,13 @@
 #ifndef PULSESTAGE_AVR_INTERRUPT_H
 #define PULSESTAGE_AVR_INTERRUPT_H
 
-extern "C++" { /* also where a program in C is included */
-
 #include <avr/io.h>
 
+#ifdef __cplusplus
 #define PULSESTAGE_VECTOR(vector) extern "C" void vector(void) __attribute__((used))
+#else
+#define PULSESTAGE_VECTOR(vector) extern void vector(void) __attribute__((used))
+#endif
 #define ISR(vector, ...)                                                                                               \
     PULSESTAGE_VECTOR(vector);                                                                                         \
     void vector(void)
@@ -17,9 +19,23 @@ extern "C++" { /* also where a program in C is included */
 #define ISR_BLOCK
 #define EMPTY_INTERRUPT(vector) ISR(vector) {}
 
+#ifdef __cplusplus
+extern "C++" { /* also where a program in C is included */
 static inline void sei(void) { SREG |= 0x80; }
 static inline void cli(void) { SREG &= 0x7F; }
 static inline void reti(void) {}
-
 } /* extern "C++" */
+#else
+static inline void sei(void)
+{
+    SREG |= 0x80;
+    pulsestage_finish_write();
+}
+static inline void cli(void)
+{
+    SREG &= 0x7F;
+    pulsestage_finish_write();
+}
+static inline void reti(void) {}
+#endif
 #endif

@@ -1,58 +1,77 @@
 /* avr/io.h on an emulated board: the ports of an AVR as pins (pinbus.h), interrupt enables, timers (timer_.h) and the serial port.
- * C++11, so that a register is an object whose assignment is seen: sources in C that include it are compiled as C++.
+ * In C++11 a register is an object whose assignment is seen; in C it is memory, see registers_.h.
  *
  * Converters are not here: a register that does not compile is not emulated. Those that only configure the chip (PRR, SMCR, ...) hold
  * what was written. */
 #ifndef PULSESTAGE_AVR_IO_H
 #define PULSESTAGE_AVR_IO_H
 
-#ifndef __cplusplus
+#if !defined(__cplusplus) && !defined(PULSESTAGE_REGISTERS_IN_C)
 #error "avr/io.h is C++ here: build with --platform avr, or with c++ -x c++ -fpermissive"
 #endif
 
-extern "C++" { /* also where a program in C is included */
-
-#include <interruptline.h>
-#include <pinbus.h>
 #include <stdint.h>
-#include <string.h>
 #include <avr/bits_.h>
+#include <avr/vectors_.h>
 
 #define _BV(bit) (1 << (bit))
-/* in an endless loop with nothing in it */
-#define PULSESTAGE_IDLE() (ps_delay_us(100), pulsestage::interrupt_line().look())
 #define bit_is_set(sfr, bit) ((sfr) & _BV(bit))
 #define bit_is_clear(sfr, bit) (!((sfr) & _BV(bit)))
 #define loop_until_bit_is_set(sfr, bit) do { } while (bit_is_clear(sfr, bit))
 #define loop_until_bit_is_clear(sfr, bit) do { } while (bit_is_set(sfr, bit))
 #define sbi(sfr, bit) ((sfr) |= _BV(bit))
-#define cbi(sfr, bit) ((sfr) &= uint8_t(~_BV(bit)))
+#define cbi(sfr, bit) ((sfr) &= (uint8_t)~_BV(bit))
+#if defined(__AVR_ATmega2560__)
+#define E2END 0xFFF
+#else
+#define E2END 0x3FF
+#endif
 
 /* F_CPU of the program, which timers.cpp is compiled without. */
+#ifdef __cplusplus
 extern "C" {
+#endif
 extern const uint32_t pulsestage_clock_hz __attribute__((weak, visibility("hidden")));
 #if !defined(F_CPU)
 #define F_CPU 16000000UL
 #elif !defined(PULSESTAGE_TIMERS)
+#define PULSESTAGE_HAS_CLOCK
 const uint32_t pulsestage_clock_hz = F_CPU;
 #endif
+#ifdef __cplusplus
 }
+#endif
+
+#ifndef __cplusplus
+#include <avr/registers_.h>
+#else
+
+/* in an endless loop with nothing in it */
+#define PULSESTAGE_IDLE() (ps_delay_us(100), pulsestage::interrupt_line().look())
+
+extern "C++" { /* also where a program in C is included */
+
+#include <interruptline.h>
+#include <pinbus.h>
+#include <string.h>
 
 namespace pulsestage
 {
 /* A register of 8 bits: `read` and `write` of Kind say what it is. Reads and writes are those of a volatile uint8_t. */
 template <typename Kind> struct Register {
-    operator uint8_t() const { return Kind::read(); }
-    const Register &operator=(uint8_t v) const { return Kind::write(v), *this; }
+    static uint8_t read() { return finish_write(), Kind::read(); }
+    static void write(uint8_t v) { finish_write(), Kind::write(v); }
+    operator uint8_t() const { return read(); }
+    const Register &operator=(uint8_t v) const { return write(v), *this; }
     const Register &operator=(const Register &other) const { return *this = uint8_t(other); }
     template <typename Other> const Register &operator=(const Register<Other> &other) const { return *this = uint8_t(other); }
-    const Register &operator|=(int v) const { return *this = uint8_t(Kind::read() | v); }
-    const Register &operator&=(int v) const { return *this = uint8_t(Kind::read() & v); }
-    const Register &operator^=(int v) const { return *this = uint8_t(Kind::read() ^ v); }
-    const Register &operator+=(int v) const { return *this = uint8_t(Kind::read() + v); }
-    const Register &operator-=(int v) const { return *this = uint8_t(Kind::read() - v); }
-    const Register &operator<<=(int n) const { return *this = uint8_t(Kind::read() << n); }
-    const Register &operator>>=(int n) const { return *this = uint8_t(Kind::read() >> n); }
+    const Register &operator|=(int v) const { return *this = uint8_t(read() | v); }
+    const Register &operator&=(int v) const { return *this = uint8_t(read() & v); }
+    const Register &operator^=(int v) const { return *this = uint8_t(read() ^ v); }
+    const Register &operator+=(int v) const { return *this = uint8_t(read() + v); }
+    const Register &operator-=(int v) const { return *this = uint8_t(read() - v); }
+    const Register &operator<<=(int n) const { return *this = uint8_t(read() << n); }
+    const Register &operator>>=(int n) const { return *this = uint8_t(read() >> n); }
     const Register &operator++() const { return *this += 1; }
     const Register &operator--() const { return *this -= 1; }
     volatile uint8_t *operator&() const { return Kind::pointer(); } /* of a port; see follow_pointers */
@@ -143,14 +162,6 @@ PULSESTAGE_INT(5);
 PULSESTAGE_INT(6);
 PULSESTAGE_INT(7);
 #undef PULSESTAGE_INT
-#define INT0_vect pulsestage_INT0_vect
-#define INT1_vect pulsestage_INT1_vect
-#define INT2_vect pulsestage_INT2_vect
-#define INT3_vect pulsestage_INT3_vect
-#define INT4_vect pulsestage_INT4_vect
-#define INT5_vect pulsestage_INT5_vect
-#define INT6_vect pulsestage_INT6_vect
-#define INT7_vect pulsestage_INT7_vect
 
 namespace pulsestage
 {
@@ -181,11 +192,7 @@ inline void enabled()
 #define PULSESTAGE_PORT(letter)                                                                                        \
     static const pulsestage::Register<pulsestage::PortOf<#letter[0] - 'A'>> PORT##letter __attribute__((unused)) = {}; \
     static const pulsestage::Register<pulsestage::DdrOf<#letter[0] - 'A'>> DDR##letter __attribute__((unused)) = {};   \
-    static const pulsestage::Register<pulsestage::PinOf<#letter[0] - 'A'>> PIN##letter __attribute__((unused)) = {};   \
-    enum { PIN##letter##0, PIN##letter##1, PIN##letter##2, PIN##letter##3, PIN##letter##4, PIN##letter##5, PIN##letter##6, PIN##letter##7 }; \
-    enum { DD##letter##0, DD##letter##1, DD##letter##2, DD##letter##3, DD##letter##4, DD##letter##5, DD##letter##6, DD##letter##7 }; \
-    enum { PORT##letter##0, PORT##letter##1, PORT##letter##2, PORT##letter##3, PORT##letter##4, PORT##letter##5, PORT##letter##6, PORT##letter##7 }; \
-    enum { P##letter##0, P##letter##1, P##letter##2, P##letter##3, P##letter##4, P##letter##5, P##letter##6, P##letter##7 }
+    static const pulsestage::Register<pulsestage::PinOf<#letter[0] - 'A'>> PIN##letter __attribute__((unused)) = {}
 PULSESTAGE_PORT(A);
 PULSESTAGE_PORT(B);
 PULSESTAGE_PORT(C);
@@ -203,7 +210,6 @@ static const pulsestage::Register<pulsestage::SregOf> SREG __attribute__((unused
 static const pulsestage::Register<pulsestage::EimskOf> EIMSK __attribute__((unused)) = {};
 static const pulsestage::Register<pulsestage::EicraOf> EICRA __attribute__((unused)) = {};
 static const pulsestage::Register<pulsestage::EicrbOf> EICRB __attribute__((unused)) = {};
-enum { SREG_C, SREG_Z, SREG_N, SREG_V, SREG_S, SREG_H, SREG_T, SREG_I };
 
 /* registers that hold what was written; MCUSR says after the start of a run that power has come on */
 namespace pulsestage
@@ -248,4 +254,5 @@ PULSESTAGE_HOLDS(ASSR);
 #include <avr/eeprom_.h>
 
 } /* extern "C++" */
+#endif /* __cplusplus */
 #endif

@@ -10,9 +10,6 @@ extern "C++" { /* also where a program in C is included */
 extern "C" void pulsestage_PCINT0_vect(void) __attribute__((weak));
 extern "C" void pulsestage_PCINT1_vect(void) __attribute__((weak));
 extern "C" void pulsestage_PCINT2_vect(void) __attribute__((weak));
-#define PCINT0_vect pulsestage_PCINT0_vect
-#define PCINT1_vect pulsestage_PCINT1_vect
-#define PCINT2_vect pulsestage_PCINT2_vect
 
 namespace pulsestage
 {

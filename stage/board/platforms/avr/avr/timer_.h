@@ -24,36 +24,10 @@ extern "C++" { /* also where a program in C is included */
 PULSESTAGE_TIMER(0);
 PULSESTAGE_TIMER(1);
 PULSESTAGE_TIMER(2);
-#define TIMER0_COMPA_vect pulsestage_TIMER0_COMPA_vect
-#define TIMER0_COMPB_vect pulsestage_TIMER0_COMPB_vect
-#define TIMER0_OVF_vect pulsestage_TIMER0_OVF_vect
-#define TIMER1_CAPT_vect pulsestage_TIMER1_CAPT_vect
-#define TIMER1_COMPA_vect pulsestage_TIMER1_COMPA_vect
-#define TIMER1_COMPB_vect pulsestage_TIMER1_COMPB_vect
-#define TIMER1_OVF_vect pulsestage_TIMER1_OVF_vect
-#define TIMER2_COMPA_vect pulsestage_TIMER2_COMPA_vect
-#define TIMER2_COMPB_vect pulsestage_TIMER2_COMPB_vect
-#define TIMER2_OVF_vect pulsestage_TIMER2_OVF_vect
 #if defined(__AVR_ATmega2560__)
 PULSESTAGE_TIMER(3);
 PULSESTAGE_TIMER(4);
 PULSESTAGE_TIMER(5);
-#define TIMER1_COMPC_vect pulsestage_TIMER1_COMPC_vect
-#define TIMER3_CAPT_vect pulsestage_TIMER3_CAPT_vect
-#define TIMER3_COMPA_vect pulsestage_TIMER3_COMPA_vect
-#define TIMER3_COMPB_vect pulsestage_TIMER3_COMPB_vect
-#define TIMER3_COMPC_vect pulsestage_TIMER3_COMPC_vect
-#define TIMER3_OVF_vect pulsestage_TIMER3_OVF_vect
-#define TIMER4_CAPT_vect pulsestage_TIMER4_CAPT_vect
-#define TIMER4_COMPA_vect pulsestage_TIMER4_COMPA_vect
-#define TIMER4_COMPB_vect pulsestage_TIMER4_COMPB_vect
-#define TIMER4_COMPC_vect pulsestage_TIMER4_COMPC_vect
-#define TIMER4_OVF_vect pulsestage_TIMER4_OVF_vect
-#define TIMER5_CAPT_vect pulsestage_TIMER5_CAPT_vect
-#define TIMER5_COMPA_vect pulsestage_TIMER5_COMPA_vect
-#define TIMER5_COMPB_vect pulsestage_TIMER5_COMPB_vect
-#define TIMER5_COMPC_vect pulsestage_TIMER5_COMPC_vect
-#define TIMER5_OVF_vect pulsestage_TIMER5_OVF_vect
 #endif
 #undef PULSESTAGE_TIMER
 
@@ -135,15 +109,18 @@ PULSESTAGE_TIMER_REGISTER(HighOf, uint8_t, timer(n).temp, timer(n).temp = v);
 
 /* A register of 16 bits, or of 8 bits that counts with it. */
 template <typename Kind> struct Count {
-    operator uint16_t() const { return Kind::read(); }
-    const Count &operator=(uint16_t v) const { return Kind::write(v), *this; }
+    static uint16_t read() { return finish_write(), Kind::read(); }
+    static void write(uint16_t v) { finish_write(), Kind::write(v); }
+    operator uint16_t() const { return read(); }
+    const Count &operator=(uint16_t v) const { return write(v), *this; }
     const Count &operator=(const Count &other) const { return *this = uint16_t(other); }
-    const Count &operator+=(int v) const { return *this = uint16_t(Kind::read() + v); }
-    const Count &operator-=(int v) const { return *this = uint16_t(Kind::read() - v); }
-    const Count &operator|=(int v) const { return *this = uint16_t(Kind::read() | v); }
-    const Count &operator&=(int v) const { return *this = uint16_t(Kind::read() & v); }
-    const Count &operator<<=(int v) const { return *this = uint16_t(Kind::read() << v); }
-    const Count &operator>>=(int v) const { return *this = uint16_t(Kind::read() >> v); }
+    const Count &operator+=(int v) const { return *this = uint16_t(read() + v); }
+    const Count &operator-=(int v) const { return *this = uint16_t(read() - v); }
+    const Count &operator|=(int v) const { return *this = uint16_t(read() | v); }
+    const Count &operator&=(int v) const { return *this = uint16_t(read() & v); }
+    const Count &operator^=(int v) const { return *this = uint16_t(read() ^ v); }
+    const Count &operator<<=(int v) const { return *this = uint16_t(read() << v); }
+    const Count &operator>>=(int v) const { return *this = uint16_t(read() >> v); }
 };
 } // namespace pulsestage
 

@@ -2,9 +2,10 @@
 #ifndef PULSESTAGE_UTIL_ATOMIC_H
 #define PULSESTAGE_UTIL_ATOMIC_H
 
-extern "C++" { /* also where a program in C is included */
-
 #include <avr/interrupt.h>
+
+#ifdef __cplusplus
+extern "C++" { /* also where a program in C is included */
 
 namespace pulsestage
 {
@@ -21,4 +22,24 @@ struct Atomic {
 #define ATOMIC_BLOCK(how) for (pulsestage::Atomic pulsestage_atomic(how); pulsestage_atomic.first; pulsestage_atomic.first = false)
 
 } /* extern "C++" */
+#else
+static inline uint8_t pulsestage_disable_interrupts(void)
+{
+    cli();
+    return 1;
+}
+static inline void pulsestage_restore_sreg(const uint8_t *sreg)
+{
+    SREG = *sreg;
+    pulsestage_finish_write();
+}
+static inline void pulsestage_force_interrupts(const uint8_t *sreg)
+{
+    (void)sreg;
+    sei();
+}
+#define ATOMIC_RESTORESTATE uint8_t pulsestage_sreg __attribute__((cleanup(pulsestage_restore_sreg))) = SREG
+#define ATOMIC_FORCEON uint8_t pulsestage_sreg __attribute__((cleanup(pulsestage_force_interrupts))) = 0
+#define ATOMIC_BLOCK(how) for (how, pulsestage_first = pulsestage_disable_interrupts(); pulsestage_first; pulsestage_first = 0)
+#endif
 #endif

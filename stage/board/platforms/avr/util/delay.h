@@ -2,6 +2,7 @@
 #ifndef PULSESTAGE_UTIL_DELAY_H
 #define PULSESTAGE_UTIL_DELAY_H
 
+#ifdef __cplusplus
 extern "C++" { /* also where a program in C is included */
 
 #include <interruptline.h>
@@ -29,4 +30,15 @@ static inline void _delay_us(double us)
 static inline void _delay_ms(double ms) { _delay_us(ms * 1000); }
 
 } /* extern "C++" */
+#else
+#include <avr/io.h>
+
+#if !defined(PULSESTAGE_HAS_CLOCK) /* defined behind avr/io.h */
+#define PULSESTAGE_HAS_CLOCK
+const uint32_t pulsestage_clock_hz = F_CPU;
+#endif
+extern void pulsestage_delay_us(double us) __attribute__((visibility("hidden")));
+static inline void _delay_us(double us) { pulsestage_delay_us(us); }
+static inline void _delay_ms(double ms) { pulsestage_delay_us(ms * 1000); }
+#endif
 #endif

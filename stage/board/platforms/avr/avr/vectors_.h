@@ -1,0 +1,45 @@
+/* The names of the interrupt routines that come, included by avr/io.h. */
+#ifndef PULSESTAGE_AVR_VECTORS_H
+#define PULSESTAGE_AVR_VECTORS_H
+
+#define INT0_vect pulsestage_INT0_vect
+#define INT1_vect pulsestage_INT1_vect
+#define INT2_vect pulsestage_INT2_vect
+#define INT3_vect pulsestage_INT3_vect
+#define INT4_vect pulsestage_INT4_vect
+#define INT5_vect pulsestage_INT5_vect
+#define INT6_vect pulsestage_INT6_vect
+#define INT7_vect pulsestage_INT7_vect
+#define PCINT0_vect pulsestage_PCINT0_vect
+#define PCINT1_vect pulsestage_PCINT1_vect
+#define PCINT2_vect pulsestage_PCINT2_vect
+#define TIMER0_COMPA_vect pulsestage_TIMER0_COMPA_vect
+#define TIMER0_COMPB_vect pulsestage_TIMER0_COMPB_vect
+#define TIMER0_OVF_vect pulsestage_TIMER0_OVF_vect
+#define TIMER1_CAPT_vect pulsestage_TIMER1_CAPT_vect
+#define TIMER1_COMPA_vect pulsestage_TIMER1_COMPA_vect
+#define TIMER1_COMPB_vect pulsestage_TIMER1_COMPB_vect
+#define TIMER1_OVF_vect pulsestage_TIMER1_OVF_vect
+#define TIMER2_COMPA_vect pulsestage_TIMER2_COMPA_vect
+#define TIMER2_COMPB_vect pulsestage_TIMER2_COMPB_vect
+#define TIMER2_OVF_vect pulsestage_TIMER2_OVF_vect
+#if defined(__AVR_ATmega2560__)
+#define TIMER1_COMPC_vect pulsestage_TIMER1_COMPC_vect
+#define TIMER3_CAPT_vect pulsestage_TIMER3_CAPT_vect
+#define TIMER3_COMPA_vect pulsestage_TIMER3_COMPA_vect
+#define TIMER3_COMPB_vect pulsestage_TIMER3_COMPB_vect
+#define TIMER3_COMPC_vect pulsestage_TIMER3_COMPC_vect
+#define TIMER3_OVF_vect pulsestage_TIMER3_OVF_vect
+#define TIMER4_CAPT_vect pulsestage_TIMER4_CAPT_vect
+#define TIMER4_COMPA_vect pulsestage_TIMER4_COMPA_vect
+#define TIMER4_COMPB_vect pulsestage_TIMER4_COMPB_vect
+#define TIMER4_COMPC_vect pulsestage_TIMER4_COMPC_vect
+#define TIMER4_OVF_vect pulsestage_TIMER4_OVF_vect
+#define TIMER5_CAPT_vect pulsestage_TIMER5_CAPT_vect
+#define TIMER5_COMPA_vect pulsestage_TIMER5_COMPA_vect
+#define TIMER5_COMPB_vect pulsestage_TIMER5_COMPB_vect
+#define TIMER5_COMPC_vect pulsestage_TIMER5_COMPC_vect
+#define TIMER5_OVF_vect pulsestage_TIMER5_OVF_vect
+#endif
+
+#endif
