@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs wheel notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs wheel notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results headline pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -33,6 +33,7 @@ help:
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
 	@echo "make results    baselines of RegisterTuning: packages/registerbench/docs/results.md, which says how long it takes (extra rl)"
+	@echo "make headline   the headline table of the benchmark from nothing, in build/headline: two hours at most on two idle cores (extra rl)"
 	@echo "make pictures   draw every picture of README and docs again"
 
 $(BIN)/python:
@@ -182,6 +183,10 @@ bench: .venv/.dev
 results: .venv/.dev
 	$(BIN)/python -m pip install -q -e '.[rl,plot,data]' -e ./packages/registerbench
 	$(BIN)/python -m registerbench.baselines.baseline_comparison
+
+headline: .venv/.dev
+	$(BIN)/python -m pip install -q -e '.[rl]' -e ./packages/registerbench
+	$(BIN)/python -m registerbench.baselines.headline_table -o build/headline
 
 pictures: .venv/.dev
 	$(BIN)/stage demo --no-window --force --picture docs/pictures/dashboard.png

@@ -3,8 +3,10 @@
 python -m registerbench.baselines.oracle -o entries --tasks one-shot home --splits train weak --tries 256
 
 It begins with the actions of the task's scripted host, and with a report if the machine has a fault that is to be reported. Then it
-changes them by normal numbers, keeps the best, and narrows the search when nothing better comes. It plays every try on the machine
-of the test episode itself, which no player may do; the entry states their number as its cost, and is on the track truth.
+changes them by normal numbers, keeps the best, and narrows the search when nothing better comes. In a task of several attempts,
+each try is an episode of one attempt; the best LANES of them are then played as whole episodes whose attempts are all the same,
+and the best of these counts. The oracle plays every try on the machine of the test episode itself, which no player may do; the
+entry states the number of steps as its cost, and is on the track truth.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import numpy as np
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
+from registerbench.baselines.training_envs import make_training_envs
 from registerbench.benchmark_tasks import CARDS, OPEN_ROUND, Card, list_test_seeds
 from registerbench.score_statistics import ORACLE, ORACLE_TRACK
 from stage.errors import ArgumentError
@@ -42,6 +45,10 @@ class EpisodeSearch:
         self._envs = card.make_env(split, ORACLE_TRACK, {}, LANES)
         if not isinstance(self._env.action_space, gymnasium.spaces.Box):
             raise ArgumentError(f"task {card.name}: the oracle searches continuous actions; take another task.")
+        self._attempts = getattr(self._env.task_instance.config, "tries", 1)
+        self._single_attempts = self._envs
+        if self._attempts > 1:
+            self._single_attempts = make_training_envs(card.name, LANES, split=split, truth=True, tries=1)
         self.steps = 0
 
     def play_scripted_host(self, seed: int) -> tuple[list[np.ndarray], bool]:
@@ -55,18 +62,19 @@ class EpisodeSearch:
         self.steps += len(actions)
         return actions, bool(info.get("fault", 0))
 
-    def play_candidates(self, seed: int, candidates: np.ndarray) -> np.ndarray:
+    def play_candidates(self, envs: Any, seed: int, candidates: np.ndarray) -> np.ndarray:
         """Play the tries of an episode's actions, and return the sum of rewards of each try.
 
         Args:
+            envs: Vector environment with LANES environments.
             seed: Seed of the episode.
             candidates: Actions, (LANES, steps, ...); the last one is repeated if an episode goes on.
         """
-        self._envs.reset(seed=[seed] * LANES)
+        envs.reset(seed=[seed] * LANES)
         total, is_over, step = np.zeros(LANES), np.zeros(LANES, bool), 0
         while not is_over.all():
             actions = candidates[:, min(step, candidates.shape[1] - 1)]
-            _, rewards, terminated, truncated, _ = self._envs.step(actions)
+            _, rewards, terminated, truncated, _ = envs.step(actions)
             total += np.where(is_over, 0.0, rewards)
             self.steps += int((~is_over).sum())
             is_over |= terminated | truncated
@@ -75,37 +83,57 @@ class EpisodeSearch:
 
     def find_best_actions(self, seed: int, budget: int) -> np.ndarray:
         """Return the best actions of an episode that a number of tries finds, (steps, ...)."""
-        rng, (scripted, is_faulty) = np.random.default_rng(seed), self.play_scripted_host(seed)
-        length = (
-            self._env.task_instance.config.returns
-            if hasattr(self._env.task_instance.config, "returns")
-            else len(scripted)
-        )
-        best = np.stack([*scripted, *[scripted[-1]] * (length - len(scripted))])
-        searched = np.ones(best.shape[1])
+        scripted, is_faulty = self.play_scripted_host(seed)
+        if self._attempts > 1:
+            return self._find_best_attempt(seed, scripted[0], budget)
+        length = getattr(self._env.task_instance.config, "returns", len(scripted))
+        begin = np.stack([*scripted, *[scripted[-1]] * (length - len(scripted))])
+        searched = np.ones(begin.shape[1])
         has_report = any(e.name == "reported" for e in self._env.info_features)
         if has_report:  # the last number reports a fault; the oracle knows whether there is one
-            searched[-1], best[:, -1] = 0.0, 1.0 if is_faulty else -1.0
-        best_return, sigma = -np.inf, FIRST_SIGMA
+            searched[-1], begin[:, -1] = 0.0, 1.0 if is_faulty else -1.0
+            budget = LANES if is_faulty else budget
+        return self._search(self._envs, seed, begin, searched, budget)[0]
+
+    def _find_best_attempt(self, seed: int, begin: np.ndarray, budget: int) -> np.ndarray:
+        """Search the best single attempt of an episode, and return its action for all attempts, (attempts, ...)."""
+        single = self._search(self._single_attempts, seed, begin[None], np.ones(len(begin)), budget)
+        candidates = np.repeat(np.stack([single[k % len(single)] for k in range(LANES)]), self._attempts, axis=1)
+        return candidates[int(np.argmax(self.play_candidates(self._envs, seed, candidates)))]
+
+    def _search(self, envs: Any, seed: int, begin: np.ndarray, searched: np.ndarray, budget: int) -> list[np.ndarray]:
+        """Search the best actions of an episode.
+
+        Args:
+            envs: Vector environment with LANES environments.
+            seed: Seed of the episode.
+            begin: Actions with which the search begins, (steps, ...).
+            searched: 1 for each number of an action that changes, else 0.
+            budget: Number of tries.
+
+        Returns:
+            Up to LANES of the actions that were tried, the best first.
+        """
+        rng, best, best_return, sigma = np.random.default_rng(seed), begin, -np.inf, FIRST_SIGMA
+        tried: list[tuple[float, np.ndarray]] = []
         for generation in range(max(budget // LANES, 1)):
             common, single = rng.normal(size=(LANES, 1, best.shape[1])), rng.normal(size=(LANES, *best.shape))
             changes = sigma * searched * (common + 0.3 * single)
             changes[0] = 0.0 if generation == 0 else changes[0]
             candidates = np.clip(best + changes, -1, 1).astype(np.float32)
-            returns = self.play_candidates(seed, candidates)
+            returns = self.play_candidates(envs, seed, candidates)
+            tried += zip(returns.tolist(), candidates, strict=True)
             winner = int(np.argmax(returns))
             if returns[winner] > best_return:
                 best, best_return = candidates[winner], float(returns[winner])
             else:
                 sigma *= SHRINK_FACTOR
-            if has_report and is_faulty:
-                break
-        return best
+        return [actions for _, actions in sorted(tried, key=lambda x: -x[0])[:LANES]]
 
     def close(self) -> None:
         """Close the environments in which the search plays."""
-        self._env.close()
-        self._envs.close()
+        for envs in (self._env, self._envs, self._single_attempts):
+            envs.close()
 
 
 class BestActions:
