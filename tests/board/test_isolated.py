@@ -8,9 +8,11 @@ import gc
 import os
 import platform
 import re
+import subprocess
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import mujoco
@@ -295,6 +297,55 @@ def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
     while Path(f"/proc/{old}").exists() and time.monotonic() < until:
         time.sleep(0.01)
     assert not Path(f"/proc/{old}").exists()
+
+
+def list_sockets():
+    """List the sockets that this process has open."""
+    names = set()
+    for file in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # the folder itself was open while it was listed
+            names.add(str(file.readlink()))
+    return {name for name in names if name.startswith("socket")}
+
+
+def test_a_host_that_nobody_closes_leaves_no_connection_open(recwarn):
+    # host = NativeHost("driver.c", board, isolated=True); host.run_for(0.1); del host
+    body = "#include <pulsestage.h>\nPULSESTAGE_MAIN { for (;;) ps_delay_us(1000); }\n"
+    assert host("#include <pulsestage.h>\nPULSESTAGE_MAIN { return 3; }\n", isolated=True).run().code == 3
+    gc.collect()
+    before = list_sockets()
+    dropped = host(body, isolated=True)
+    dropped.run_for(0.01)
+    assert list_sockets() - before
+    del dropped
+    gc.collect()
+    assert list_sockets() <= before
+    assert not [w for w in recwarn if w.category is ResourceWarning]
+
+
+def test_a_start_that_fails_leaves_no_connection_open(monkeypatch):
+    def fail(*_):
+        raise BrokenPipeError
+
+    starter = process_starter._find_starter("")
+    before = list_sockets()
+    for name in ("send", "read"):
+        with monkeypatch.context() as patch:
+            patch.setattr(process_starter.ProcessStarter, name, fail)
+            with pytest.raises(BrokenPipeError) as raised:
+                starter.start(1)
+        assert list_sockets() <= before, raised  # which holds the frames, and so the sockets
+
+
+def test_a_starter_ends_no_process_but_its_children():
+    """A child that has ended is forgotten late, and its number may be another's by then."""
+    starter = process_starter.ProcessStarter()
+    with subprocess.Popen(["sleep", "60"], start_new_session=True) as other:
+        starter.children.add(other.pid)
+        starter.end()
+        with pytest.raises(subprocess.TimeoutExpired):
+            other.wait(0.2)
+        other.kill()
 
 
 def test_a_fork_does_not_control_the_firmware_of_its_parent():

@@ -247,7 +247,7 @@ class ProcessRunner:
             with theirs:
                 self._child = process_starter.start(theirs.fileno(), " ".join(list_sanitizers(self._path)))
             self._pipe, self._messages = ours, _Messages(ours)
-            weakref.finalize(self, self._child.kill)
+            weakref.finalize(self, self._child.release)
             ours.send(StartMessage(self._program, str(shared), content, self._patience))
             self._machine, self._faults = self._read_machine(), _read_faults(board.stage)
             answer = self._receive(START_LIMIT_S)

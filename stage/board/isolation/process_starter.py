@@ -76,7 +76,11 @@ class ChildProcess:
 
     def __init__(self, starter: ProcessStarter, status: socket.socket):
         self._starter, self._status = starter, status
-        self.pid: int = _HEAD.unpack(starter.read(status, _HEAD.size))[0]
+        try:
+            self.pid: int = _HEAD.unpack(starter.read(status, _HEAD.size))[0]
+        except BaseException:
+            status.close()
+            raise
         starter.children.add(self.pid)
         self._code: int | None = None
         self.stopped = 0
@@ -85,6 +89,11 @@ class ChildProcess:
         """End this child process, if it has not ended."""
         if self._code is None:
             self._starter.kill(self.pid)
+
+    def release(self) -> None:
+        """End this child process, if it has not ended, and close the connection to it: nobody is going to wait for it."""
+        self.kill()
+        self._status.close()
 
     def wait(self, limit_s: float = ANSWER_LIMIT_S) -> int:
         """Wait until the child ends. End it if it, or its starter, gives no sign for `limit_s` seconds of real time.
@@ -146,8 +155,10 @@ class ProcessStarter:
         if os.getpid() != self._owner:
             return
         if self._process.poll() is None:
-            for pid in self.children:  # it has not reaped them, so the numbers are still theirs
-                _kill_child(pid)
+            parent = str(self._process.pid)
+            for pid in tuple(self.children):
+                if read_status(pid).get("PPid", parent) == parent:  # else it has ended, and the number is another's
+                    _kill_child(pid)
             self._process.kill()
             self._process.wait()
         self._control.close()
@@ -179,8 +190,12 @@ class ProcessStarter:
         ours, theirs = socket.socketpair()
         with theirs:
             files = [pipe, theirs.fileno(), 1, 2]
-            with _lock:
-                self.send(("start", context), files)
+            try:
+                with _lock:
+                    self.send(("start", context), files)
+            except BaseException:
+                ours.close()
+                raise
             _send_kills()
         return ChildProcess(self, ours)
 
