@@ -56,21 +56,21 @@ import gymnasium
 import numpy as np
 
 from stage.envs import machine_contexts, machine_faults
-from stage.envs.bus_macros_host import AXIS, EPISODE, SWITCHES, BusHost
+from stage.envs.bus_macros_host import AXIS_STATE, EPISODE, SWITCHES, MacroHostTask
 from stage.envs.hidden_machine_task import MachineSettings
 from stage.envs.macro_programs import RATES, MacroTable
 from stage.envs.move_trials import compute_move_time
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
 from stage.envs.settings import (
+    Boolean,
     ChoiceSetting,
     Count,
     Discount,
-    Flag,
     NamesSetting,
     NumberSetting,
     NumbersSetting,
-    Positive,
+    PositiveNumber,
     Seconds,
     Weight,
 )
@@ -81,7 +81,9 @@ from stage.sim.fleet import PlayedPrograms
 from stage.support import portable_math
 
 LEVELS = ("move", "target", "axes", "origin")
-MAX_BEFORE_ORIGIN = 1_000  # pulses: largest distance beyond ORG, on the minus side, at which level "origin" starts
+MAX_PULSES_BEFORE_ORIGIN = (
+    1_000  # pulses: largest distance beyond ORG, on the minus side, at which level "origin" starts
+)
 
 
 @dataclass(frozen=True)
@@ -107,15 +109,15 @@ class Config(MachineSettings):
         damage_weight: Cost of the first lost step, and of each end limit that an axis hits.
     """
 
-    FAULTS = (*machine_faults.HAMPERING, "bounce")
+    FAULTS = (*machine_faults.HAMPERING_FAULTS, "bounce")
     level: Annotated[str, ChoiceSetting(LEVELS)] = "origin"
-    mixed: Flag = False
+    mixed: Boolean = False
     axes: Annotated[tuple[str, ...], NamesSetting(1)] = ("x", "y")
     grid: Annotated[tuple[int, ...], NumbersSetting(1, integer=True)] = (16, 64, 256, 1024)
     macros: Count = 120
     time_limit: Seconds = 30.0
-    tolerance: Positive = 8.0
-    lag: Positive = 16.0
+    tolerance: PositiveNumber = 8.0
+    lag: PositiveNumber = 16.0
     patience: Seconds = 2.0
     settle: Annotated[float, NumberSetting(high=1.0)] = 0.02
     discount: Discount = 1.0
@@ -140,18 +142,18 @@ class Config(MachineSettings):
         return int(2 * sum(self.grid))
 
 
-class BusMacros(BusHost):
+class BusMacros(MacroHostTask):
     """Rules of stage/BusMacros-v1: how episodes begin, and how macros are judged. The module docstring states them."""
 
     Config = Config
-    OPTIONS = ("level", "targets", *machine_contexts.OPTIONS)
+    OPTIONS = ("level", "targets", *machine_contexts.RESET_OPTION_NAMES)
     """Options of a reset. level: 0 to 3, or a name; targets: {axis: signed pulses}; and values of the machine."""
     PARTS = ("progress", "cost", "success", "damage", "failed")
     STATE = ("context", "axis_states", "episodes")
     INFO = (
         Feature("level", HOST, "level of the episode, 0 to 3", kind=int),
         Feature("action_mask", HOST, "int8, 1 for an action that has an effect", kind=np.int8),
-        *machine_contexts.INFO,
+        *machine_contexts.INFO_FEATURES,
         Feature("elapsed", HOST, "s since the episode began", kind=float),
         Feature("masked", HOST, "the action had no effect", kind=bool),
         Feature("success", TRUTH, "every axis stands at its target", kind=bool),
@@ -175,14 +177,14 @@ class BusMacros(BusHost):
         self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
         self.turn = np.array([2 * np.pi / (_get_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
         self.switch_masks = [[a.chip.find_switch_input(pin) for pin in SWITCHES] for a in self.axes]
-        self.prepare_machines()
+        self.read_nominal_machines()
         self.top = LEVELS.index(c.level)
         self.macro_table = MacroTable(self.axes, c.grid, c.patience, c.settle)
         self.names = self.macro_table.names
         self.action_space = gymnasium.spaces.Discrete(len(self.names))
         self.observation_space = self.make_observation_space()
         self.shapes = {"action_mask": (len(self.names),)}
-        self.episodes, self.axis_states = np.zeros(n, EPISODE), np.zeros((n, m), AXIS)
+        self.episodes, self.axis_states = np.zeros(n, EPISODE), np.zeros((n, m), AXIS_STATE)
 
     # --- episodes ---
 
@@ -193,11 +195,11 @@ class BusMacros(BusHost):
         used = m if level >= 2 else 1
         self.draw_machine(stage_index, options, used)
         e, axes = self.episodes[stage_index], self.axis_states[stage_index]
-        axes[...] = np.zeros((), AXIS)
+        axes[...] = np.zeros((), AXIS_STATE)
         sign = rng.choice((-1, 1), m) if level < 3 else np.ones(m, np.int64)
         units = rng.integers(1, c.max_target_pulses // c.grid[0] + 1, m)
         distance = units * c.grid[0] if level else rng.choice(c.grid, m)
-        start = rng.integers(-MAX_BEFORE_ORIGIN, c.max_target_pulses, m)
+        start = rng.integers(-MAX_PULSES_BEFORE_ORIGIN, c.max_target_pulses, m)
         axes["target"] = sign * distance
         axes["rates"] = axes["distance"] = -1
         self._set_target_options(axes, options, level)
@@ -242,7 +244,7 @@ class BusMacros(BusHost):
         pulses = (
             pulses_from_origin
             if level == 3
-            else np.full(len(self.axes), self.config.max_target_pulses + 2 * MAX_BEFORE_ORIGIN)
+            else np.full(len(self.axes), self.config.max_target_pulses + 2 * MAX_PULSES_BEFORE_ORIGIN)
         )
         at = self.origin + self.signed_pulse_m * pulses
         return (np.floor(at / self.turn) + float(self.context[stage_index]["switch"])) * self.turn
@@ -348,7 +350,7 @@ class BusMacros(BusHost):
         c, s, used = self.config, self.axis_states[which], self.uses_axis[which]
         beyond = np.maximum(np.abs(truth["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
         distance = portable_math.log1p(beyond) / portable_math.log1p(
-            (c.max_target_pulses + MAX_BEFORE_ORIGIN) / c.tolerance
+            (c.max_target_pulses + MAX_PULSES_BEFORE_ORIGIN) / c.tolerance
         ) + 0.5 * (s["known"] == 0)
         total = np.zeros(len(s))
         for a in range(len(self.axes)):

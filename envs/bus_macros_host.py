@@ -12,14 +12,14 @@ import numpy as np
 
 from stage.envs import machine_contexts
 from stage.envs.hidden_machine_task import MachineTask
-from stage.envs.macro_programs import OTHERS, RATES, MacroTable
+from stage.envs.macro_programs import MACROS_WITHOUT_VALUES, RATES, MacroTable
 from stage.envs.observation_features import HOST, Feature
 from stage.native import record
 from stage.sim.fleet import PlayedPrograms
 from stage.support import portable_math
 
 SWITCHES = ("org", "el_minus", "el_plus")
-AXIS = record(
+AXIS_STATE = record(
     [(name, "i8") for name in "rates distance running fresh known zero seen target lost limit".split()]
     + [("goal", "f8"), *((name, "?") for name in SWITCHES)]
 )
@@ -34,14 +34,14 @@ last one); usual (time of the formula, s); start (potential at the beginning); l
 left (costs that are left, charged already)."""
 
 
-class BusHost(MachineTask[Any]):
+class MacroHostTask(MachineTask[Any]):
     """Base of tasks whose actions are macros: the memory of the host, its observations and its scripted policy.
 
     Attributes:
         axes: Axes of the first stage, m of them.
         switch_masks: Bits of SWITCHES in the inputs of each axis' chip.
         macro_table: Programs of all macros.
-        axis_states: Memory of the host, AXIS records, (n, m).
+        axis_states: Memory of the host, AXIS_STATE records, (n, m).
         episodes: State of each episode, EPISODE records, (n,).
     """
 
@@ -67,7 +67,7 @@ class BusHost(MachineTask[Any]):
         Feature("level", HOST, "level / 3"),
         Feature("macros", HOST, "macros left / `macros`"),
         Feature("time", HOST, "time left / `time_limit`"),
-        *machine_contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION_FEATURES,
     )
 
     def list_all_features(self) -> list[Feature]:
@@ -143,7 +143,7 @@ class BusHost(MachineTask[Any]):
         """Store what the macro `read` shows: the pulse counter and the switches.
 
         Args:
-            axis_states: Memory to fill, AXIS records, (k,).
+            axis_states: Memory to fill, AXIS_STATE records, (k,).
             truth: True state of the axes that were read, (k,).
             axis: Index of the axis, (k,).
         """
@@ -158,14 +158,14 @@ class BusHost(MachineTask[Any]):
         """Store the results of origin returns. The position becomes the new zero, and the chip's registers count as unwritten.
 
         Args:
-            axis_states: Memory to fill, AXIS records, (k,).
+            axis_states: Memory to fill, AXIS_STATE records, (k,).
             results: Results of the programs, (k, operations).
             truth: True state of the axes, (k,).
             axis: Index of the axis, (k,).
         """
         for a in np.unique(axis):
             mask = axis == a
-            axis_states["known"][mask] = self.macro_table.ends_at_origin(int(a), results[mask])
+            axis_states["known"][mask] = self.macro_table.find_returns_at_origin(int(a), results[mask])
         axis_states["zero"], axis_states["rates"], axis_states["distance"] = truth["pulses"], -1, -1
         self._store_read_values(axis_states, truth, axis)
 
@@ -199,7 +199,7 @@ class BusHost(MachineTask[Any]):
     def _choose_action(self, stage_index: int) -> int:
         """Choose the next action of the scripted policy on one stage."""
         c, selected = self.config, int(self.episodes[stage_index]["selected"])
-        at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
+        at = {name: j for j, name in enumerate((*RATES, *c.grid, *MACROS_WITHOUT_VALUES))}
         for a, s in enumerate(self.axis_states[stage_index]):
             left = int(s["target"] - (s["seen"] - s["zero"]))
             if not self.uses_axis[stage_index, a] or (s["known"] and left == 0 and s["fresh"]):

@@ -1,7 +1,7 @@
 """`CompiledTask`: a task whose steps, from the actions to the observations, run in compiled code, without the GIL.
 
-The task owns all arrays. A FRAME record holds their addresses and lengths, so that a call passes only a few numbers. A step has
-two halves, `play_actions` and `conclude_steps`, so that Python can play the program of a recorded stage in between.
+The task owns all arrays. An ARRAY_TABLE record holds their addresses and lengths, so that a call passes only a few numbers. A step
+has two halves, `play_actions` and `judge_and_observe`, so that Python can play the program of a recorded stage in between.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class CompiledTask(Task[ConfigT]):
     A subclass sets `CORE`, calls `make_step_arrays` in `make_spaces_and_arrays`, and implements `list_frame_values`.
 
     Attributes:
-        CORE: Module with the record FRAME and the exported functions `play_actions(frame, begin, end)`,
-            `conclude_steps(frame, begin, end, fresh)` and `step_stages(frame, begin, end)`, which makes a step of a range of stages
-            and returns 0 if each of them has played its program to the end.
+        CORE: Module with the record ARRAY_TABLE and the exported functions `play_actions(frame, begin, end)`,
+            `judge_and_observe(frame, begin, end, fresh)` and `step_stages(frame, begin, end)`, which makes a step of a range of
+            stages and returns 0 if each of them has played its program to the end.
     """
 
     CORE: ClassVar[ModuleType]
@@ -48,7 +48,7 @@ class CompiledTask(Task[ConfigT]):
 
     @abstractmethod
     def list_frame_values(self) -> Mapping[str, Any]:
-        """Return the values of the fields of FRAME that this class does not set: arrays, for their addresses, and lengths."""
+        """Return the values of the fields of ARRAY_TABLE that this class does not set: arrays, for their addresses, and lengths."""
 
     def bind_arrays(self) -> None:
         super().bind_arrays()
@@ -58,7 +58,7 @@ class CompiledTask(Task[ConfigT]):
             "observed": self._is_observed, "results": self.results.rows, "observations": self.observations,
             "stages": self.n, "width": self.observations.shape[1], **self.list_frame_values(),
         }  # fmt: skip
-        self._frame = np.zeros(1, self.CORE.FRAME)
+        self._frame = np.zeros(1, self.CORE.ARRAY_TABLE)
         for name, value in values.items():
             self._frame[name] = value.ctypes.data if isinstance(value, np.ndarray) else value
         self._address, self._action_shape = self._frame.ctypes.data, self.actions.shape[1:]
@@ -88,7 +88,7 @@ class CompiledTask(Task[ConfigT]):
             self.stages[k].ensure_powered()
             nothing = np.zeros((0, 2))
             status[k] = program_player.play_in_python(self.stages[k], self._ops[k], self._values[k], nothing)
-            self.conclude_steps(k, k + 1, False)
+            self.judge_and_observe(k, k + 1, False)
         for k in np.flatnonzero(status == program_player.REFUSED).tolist():
             check_action(self.action_space, self.actions[k])
         self.fleet.check_status(status)
@@ -97,7 +97,7 @@ class CompiledTask(Task[ConfigT]):
         """Play and judge a step of a range of stages in compiled code."""
         self.CORE.step_stages.c(self._address, begin, end)
 
-    def conclude_steps(self, begin: int, end: int, fresh: bool) -> None:
+    def judge_and_observe(self, begin: int, end: int, fresh: bool) -> None:
         """Judge and observe a range of stages in compiled code.
 
         Args:
@@ -105,7 +105,7 @@ class CompiledTask(Task[ConfigT]):
             end: Stage after the last one.
             fresh: Whether an episode begins on these stages, so that there is no step to judge.
         """
-        self.CORE.conclude_steps.c(self._address, begin, end, fresh)
+        self.CORE.judge_and_observe.c(self._address, begin, end, fresh)
 
     def update_observations(self) -> None:
         """Do nothing: `begin_episode` and `play_actions` have already updated the observations."""

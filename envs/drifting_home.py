@@ -6,7 +6,8 @@ bounces for a time that is drawn for the machine. A step is one whole origin ret
 of a fault, which ends the episode. The result of one return helps to choose the next.
 
 action        Box [-1, 1]^6: rate of the search (pps), its ramps (s) and rate of the approach (pps), by their logarithms over
-              RATES; pulses by which ORG is left before the search, by their cube root; pulses by which the host backs off before
+              ACTION_RANGES; pulses by which ORG is left before the search, by their cube root; pulses by which the host
+              backs off before
               the approach, by their logarithm; and the report: above 0 it states that the machine has a fault, and no return is
               made. The driver of the chip computes the registers, so one policy can act through every chip.
 observation   float32, -1 to 1, only what a host knows (truth=True adds machine and fault)
@@ -46,7 +47,7 @@ from stage.envs import machine_contexts, machine_faults
 from stage.envs.hidden_machine_task import MachineSettings, MachineTask
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
-from stage.envs.settings import AxisName, Count, NumberSetting, Pair, Positive, RangeSetting, Seconds, Weight
+from stage.envs.settings import AxisName, Count, NumberSetting, Pair, PositiveNumber, RangeSetting, Seconds, Weight
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.errors import ArgumentError
@@ -55,15 +56,15 @@ from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import Program
 from stage.support import portable_math
 
-RATES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
+ACTION_RANGES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
 LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses: largest distance; smallest and largest distance
-USUAL = {"search": 8000.0, "ramp": 0.1, "approach": 400.0, "leave": 0, "back_off": 200}
-BRISK = {"search": 9000.0, "ramp": 0.1, "approach": 1000.0, "back_off": 100}
+USUAL_RETURN = {"search": 8000.0, "ramp": 0.1, "approach": 400.0, "leave": 0, "back_off": 200}
+SCRIPTED_RETURN = {"search": 9000.0, "ramp": 0.1, "approach": 1000.0, "back_off": 100}
 LEAVE_MARGIN = 300  # pulses beyond ORG from which a search finds it again
-FL = 0.125  # start rate, as a share of the rate of the search
+START_RATE_SHARE = 0.125  # start rate, as a share of the rate of the search
 MAX_ERROR_PULSES = 64.0  # an electrical period of a motor with 1/16 microsteps
 LIMIT_CLEARANCE_M = 1e-3  # smallest distance between the start of a return and an end limit
-NUMBERS_OF_LAST = 10  # numbers of an observation that describe the last return
+LAST_RETURN_FEATURES = 10  # numbers of an observation that describe the last return
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class Config(MachineSettings):
         unreported_weight: Cost of a fault that was not reported in the episode, paid in equal parts by its returns.
     """
 
-    FAULTS = machine_faults.DISABLING
+    FAULTS = machine_faults.DISABLING_FAULTS
     axis: AxisName = "x"
     healthy: Annotated[float, NumberSetting(high=1.0)] = 0.6
     walk: Annotated[float, NumberSetting(high=1e-3)] = 2e-5
@@ -100,7 +101,7 @@ class Config(MachineSettings):
     returns: Count = 6
     limit: Seconds = 3.0
     settle: Seconds = 0.05
-    tolerance: Positive = 12.0
+    tolerance: PositiveNumber = 12.0
     time_weight: Weight = 0.05
     error_weight: Weight = 0.005
     missed_weight: Weight = 0.3
@@ -131,7 +132,7 @@ def make_action(
     Returns:
         Action, (6,) float32.
     """
-    low, high = portable_math.log(np.array(list(RATES.values()))).T
+    low, high = portable_math.log(np.array(list(ACTION_RANGES.values()))).T
     rates = 2 * (portable_math.log((search, ramp, approach)) - low) / (high - low) - 1
     leave_share = 2 * portable_math.cbrt(leave / LEAVE) - 1
     b0, b1 = portable_math.log(BACK_OFF)
@@ -143,7 +144,7 @@ class DriftingHome(MachineTask[Config]):
     """Rules of stage/DriftingHome-v1. The module docstring states them."""
 
     Config = Config
-    OPTIONS = ("start", *machine_contexts.OPTIONS)
+    OPTIONS = ("start", *machine_contexts.RESET_OPTION_NAMES)
     """Options of a reset. start: start of the first return, m; fault: a name, or "none"; and values of the machine."""
     PARTS = ("time", "error", "missed", "damage", "report")
     STATE = ("context", "place", "shift", "last", "away", "last_end", "sums", "bounce")
@@ -162,10 +163,10 @@ class DriftingHome(MachineTask[Config]):
         Feature("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
         Feature("last_off", HOST, "counted pulses between this origin and the last one / 64"),
         Feature("failed", HOST, "number of last returns in a row that did not end at the origin / `returns`"),
-        *machine_contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION_FEATURES,
     )
     INFO = (
-        *machine_contexts.INFO,
+        *machine_contexts.INFO_FEATURES,
         Feature("reported", HOST, "the step was a report", kind=bool),
         Feature("duration", HOST, "s", kind=float),
         Feature("error", TRUTH, "pulses between the carriage and where ORG trips", kind=float),
@@ -181,7 +182,7 @@ class DriftingHome(MachineTask[Config]):
     def make_spaces_and_arrays(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.prepare_machines()
+        self.read_nominal_machines()
         self.switch = OriginSwitch(first, self.axis)
         self.search = get_driver(self.axis).build_home_program(
             SimpleNamespace(multiplier=30, leave=LEAVE, back_off=BACK_OFF[1], limit=c.limit, settle=c.settle, ez=0)
@@ -191,7 +192,7 @@ class DriftingHome(MachineTask[Config]):
         self.observation_space = self.make_observation_space()
         self.shapes = {"choices": (len(self.search.choices.ranges),)}
         self.place, self.shift = np.zeros(n), np.zeros((n, 2))  # m: the start; the walk of ORG, and where it trips
-        self.last, self.away, self.last_end = np.zeros((n, NUMBERS_OF_LAST)), np.zeros(n), np.full(n, np.nan)
+        self.last, self.away, self.last_end = np.zeros((n, LAST_RETURN_FEATURES)), np.zeros(n), np.full(n, np.nan)
         self.bounce = np.zeros(n)  # s
         self.sums = np.zeros((n, 5))  # s, s by the formula, returns that missed, full steps lost, limits hit
 
@@ -244,7 +245,7 @@ class DriftingHome(MachineTask[Config]):
     def apply_machine(self, stage_index: int) -> None:
         stage = self.stages[stage_index]
         self.switch.shift(stage, self.shift[stage_index, 1])
-        self.configure_stage(stage, stage_index, bounce=float(self.bounce[stage_index]))
+        self.apply_machine_to(stage, stage_index, bounce=float(self.bounce[stage_index]))
 
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
         return self.describe_machine(stage_index)
@@ -253,7 +254,7 @@ class DriftingHome(MachineTask[Config]):
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """Compute the parameters of the driver's origin return that actions stand for, (n, choices)."""
-        low, high = portable_math.log(np.array(list(RATES.values()))).T
+        low, high = portable_math.log(np.array(list(ACTION_RANGES.values()))).T
         b0, b1 = portable_math.log(BACK_OFF)
         rows = []
         for action in np.asarray(actions, np.float64):
@@ -261,20 +262,24 @@ class DriftingHome(MachineTask[Config]):
             search, ramp, approach = portable_math.exp(low + (high - low) * u[:3]).tolist()
             approach = min(approach, search)
             leave, back_off = round(float(LEAVE * u[3] ** 3)), round(float(portable_math.exp(b0 + (b1 - b0) * u[4])))
-            rows.append(self.search.find_nearest_row(max(FL * search, 100.0), search, ramp, approach, leave, back_off))
+            rows.append(
+                self.search.find_nearest_row(
+                    max(START_RATE_SHARE * search, 100.0), search, ramp, approach, leave, back_off
+                )
+            )
         return np.array(rows, np.int64)
 
     @property
-    def is_report(self) -> np.ndarray:
+    def report_mask(self) -> np.ndarray:
         """Mask of the stages whose action reports a fault of the machine, shape (stages,)."""
         return self.actions[:, 5] > 0
 
     def make_programs(self) -> list[Program]:
-        rows, reports = self.to_registers(self.actions), self.is_report
+        rows, reports = self.to_registers(self.actions), self.report_mask
         return [Program() if told else self.search.write_program(row) for row, told in zip(rows, reports, strict=True)]
 
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
-        c, t, reports = self.config, truth[:, self.axis.index], self.is_report
+        c, t, reports = self.config, truth[:, self.axis.index], self.report_mask
         rows, returned = self.to_registers(self.actions), ~reports
         width = max(self.search.result_indices.values()) + 1
         results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
@@ -337,10 +342,13 @@ class DriftingHome(MachineTask[Config]):
 
     def _compute_usual_times(self) -> np.ndarray:
         """Compute how long a return from each start position takes at the usual rates, s, (n,)."""
-        u, settled = USUAL, 3 * self.config.settle
+        u, settled = USUAL_RETURN, 3 * self.config.settle
         distance = np.abs(self.place - self.origin) / self.per_pulse
         return (
-            distance / u["search"] + u["ramp"] + u["back_off"] * (1 / (FL * u["search"]) + 1 / u["approach"]) + settled
+            distance / u["search"]
+            + u["ramp"]
+            + u["back_off"] * (1 / (START_RATE_SHARE * u["search"]) + 1 / u["approach"])
+            + settled
         )
 
     def _score_episodes(self, reports: np.ndarray, broken: np.ndarray) -> None:
@@ -372,8 +380,9 @@ class DriftingHome(MachineTask[Config]):
     def scripted_action(self) -> np.ndarray:
         """Return the actions of a scripted host, which makes its origin returns at brisk rates.
 
-        The host leaves ORG by as far as it has moved beyond the last origin, searches at BRISK rates, at half of them after a
-        failed return, and reports a fault after a return that ran to the end limit, or after two that failed in a row.
+        The host leaves ORG by as far as it has moved beyond the last origin, searches at the rates of SCRIPTED_RETURN, at half of
+        them after a failed return, and reports a fault after a return that ran to the end limit, or after two that failed
+        in a row.
         """
         on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.find_switch_input("org") != 0
         failed = np.rint(self.last[:, -1] * self.config.returns)
@@ -395,7 +404,12 @@ class DriftingHome(MachineTask[Config]):
         slower = 2 if failures else 1
         report = failures >= 2 or (failures >= 1 and end_limit > 0)
         return make_action(
-            BRISK["search"] / slower, BRISK["ramp"], BRISK["approach"] / slower, leave, int(BRISK["back_off"]), report
+            SCRIPTED_RETURN["search"] / slower,
+            SCRIPTED_RETURN["ramp"],
+            SCRIPTED_RETURN["approach"] / slower,
+            leave,
+            int(SCRIPTED_RETURN["back_off"]),
+            report,
         )
 
 

@@ -9,8 +9,8 @@ moves without reading any result. With answer="last", only the last attempt is p
 have shown.
 
 action        Box [-1, 1]^4, the same for every chip: start rate, drive rate, seconds of ramp-up and ramp-down, each by its
-              logarithm over RATES. Ramps that do not fit into the move are shortened with the same slope. The chip's formulas
-              compute its registers.
+              logarithm over ACTION_RANGES. Ramps that do not fit into the move are shortened with the same slope. The chip's
+              formulas compute its registers.
 observation   float32, -1 to 1, only what a host can know (truth=True adds the context at the end):
               distance, by its logarithm; attempts left / tries; time of the best attempt that kept step by the encoder / twice
               the usual time, 1 before there is one; then for each attempt (memory="all") or for the last one (memory="last"), 0
@@ -46,19 +46,19 @@ import numpy as np
 from stage import Stage
 from stage.envs import machine_contexts
 from stage.envs.hidden_machine_task import MachineSettings, MachineTask
-from stage.envs.move_trials import MAX_OFFSET_M, TENTH_MM, MoveTrial, compute_move_time
+from stage.envs.move_trials import DISPLACEMENT_SCALE_M, MAX_OFFSET_M, MoveTrial, compute_move_time
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.scaling import scale_log
 from stage.envs.settings import (
     AxisName,
+    Boolean,
     ChoiceSetting,
     Count,
-    Counts,
-    Flag,
+    CountRange,
     NumberSetting,
     Seconds,
     Weight,
-    read_option,
+    read_number_option,
 )
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
@@ -69,7 +69,7 @@ from stage.sim.program import Program
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
 
-RATES = {
+ACTION_RANGES = {
     "start": (200.0, 6000.0),
     "drive": (2000.0, 60_000.0),
     "up": (0.01, 0.3),
@@ -79,7 +79,7 @@ ENCODER_COUNT_M = 5e-6
 MIN_RAMP_S = 2e-3
 MEMORIES = ("all", "last")
 ANSWERS = ("best", "last")
-NUMBERS_PER_TRY = 9  # numbers of an observation that describe one attempt
+FEATURES_PER_ATTEMPT = 9  # numbers of an observation that describe one attempt
 
 
 @dataclass(frozen=True)
@@ -102,12 +102,12 @@ class Config(MachineSettings):
     """
 
     axis: AxisName = "x"
-    distances: Counts = (1600, 16_000)
+    distances: CountRange = (1600, 16_000)
     judge_at: AxisName | None = None
     tries: Count = 8
     proofs: Annotated[int, NumberSetting(low=0, high=64, integer=True)] = 4
     margin: Annotated[float, NumberSetting(high=1e3)] = 0.5
-    encoder: Flag = True
+    encoder: Boolean = True
     memory: Annotated[str, ChoiceSetting(MEMORIES)] = "all"
     answer: Annotated[str, ChoiceSetting(ANSWERS)] = "best"
     settle: Seconds = 0.1
@@ -116,7 +116,7 @@ class Config(MachineSettings):
 
 
 def make_action(start: float, drive: float, up: float, down: float) -> np.ndarray:
-    """Return the action that stands for these rates and ramps of a move. A value beyond RATES counts as the end of its range.
+    """Return the action that stands for these rates and ramps of a move. A value out of ACTION_RANGES counts as its end.
 
     Args:
         start: Start rate, pps.
@@ -127,7 +127,7 @@ def make_action(start: float, drive: float, up: float, down: float) -> np.ndarra
     Returns:
         Action, (4,) float32.
     """
-    low, high = portable_math.log(np.array(list(RATES.values()))).T
+    low, high = portable_math.log(np.array(list(ACTION_RANGES.values()))).T
     return np.clip(2 * (portable_math.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
 
 
@@ -135,7 +135,7 @@ class FewShotTuning(MachineTask[Config]):
     """Rules of stage/FewShotTuning-v1. The module docstring states them."""
 
     Config: ClassVar[type] = Config
-    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *machine_contexts.OPTIONS)
+    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *machine_contexts.RESET_OPTION_NAMES)
     """Options of a reset, which replace drawn values of the move and the machine."""
     PARTS = ("gain", "damage", "proof", "deposit")
     STATE: ClassVar[tuple[str, ...]] = (
@@ -158,7 +158,10 @@ class FewShotTuning(MachineTask[Config]):
             HOST,
             "time of the best attempt that kept step by the encoder / twice the usual time; 1 before there is one",
         ),
-        *(Feature(f"tried_{name}", HOST, "rate or ramp of this attempt, from -1 to 1", "try") for name in RATES),
+        *(
+            Feature(f"tried_{name}", HOST, "rate or ramp of this attempt, from -1 to 1", "try")
+            for name in ACTION_RANGES
+        ),
         Feature("tried", HOST, "1 if this attempt was made", "try"),
         Feature("duration", HOST, "duration / twice the usual time", "try"),
         Feature("finished", HOST, "1 if it made its pulses", "try"),
@@ -166,11 +169,11 @@ class FewShotTuning(MachineTask[Config]):
         Feature(
             "swing", HOST, "swing after the stop by the encoder: swing / (swing + 0.1 mm); 0 without an encoder", "try"
         ),
-        *machine_contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION_FEATURES,
     )
     INFO: ClassVar[tuple[Feature, ...]] = (
         Feature("distance", HOST, "pulses", kind=int),
-        *machine_contexts.INFO,
+        *machine_contexts.INFO_FEATURES,
         Feature("registers", HOST, "registers that the chip's formulas compute from the action", kind=int),
         Feature("duration", HOST, "s", kind=float),
         Feature("usual", HOST, "s, time of the usual speeds", kind=float),
@@ -205,14 +208,14 @@ class FewShotTuning(MachineTask[Config]):
         self.driver = get_driver(self.axis)
         self.judged, point = find_judged_point(first, c.axis, c.judge_at)
         self.trial = MoveTrial(self.axis, point, c.settle, encoder=True)
-        self.prepare_machines()
+        self.read_nominal_machines()
         self.trial.require_room(c.distances, "pulses")
         self.names = self.driver.list_move_registers(s_curve=False)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(RATES),), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(ACTION_RANGES),), np.float32)
         self.observation_space = self.make_observation_space()
         self.shapes = {"registers": (len(self.names),)}
         self.distance, self.angle = np.ones(n, np.int64), np.zeros(n)
-        self.table = np.zeros((n, c.tries, NUMBERS_PER_TRY))
+        self.table = np.zeros((n, c.tries, FEATURES_PER_ATTEMPT))
         self.best_time, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
         self.rows = np.zeros((n, c.tries, len(self.names)), np.int64)
         self.load = Load.from_axis(self.axis)
@@ -223,8 +226,8 @@ class FewShotTuning(MachineTask[Config]):
         tries = self.config.tries if self.config.memory == "all" else 1
         return [
             *self.OBSERVATION[:3],
-            *self.OBSERVATION[3 : 3 + NUMBERS_PER_TRY] * tries,
-            *self.OBSERVATION[3 + NUMBERS_PER_TRY :],
+            *self.OBSERVATION[3 : 3 + FEATURES_PER_ATTEMPT] * tries,
+            *self.OBSERVATION[3 + FEATURES_PER_ATTEMPT :],
         ]
 
     # --- machines ---
@@ -232,7 +235,7 @@ class FewShotTuning(MachineTask[Config]):
     def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[stage_index]
         distance = int(np.rint(portable_math.exp(rng.uniform(*portable_math.log(c.distances)))))
-        self.distance[stage_index] = read_option(options, "distance", distance, c.distances)
+        self.distance[stage_index] = read_number_option(options, "distance", distance, c.distances)
         self.draw_machine(stage_index, options)
         self.table[stage_index], self.best_time[stage_index], self.cost[stage_index], self.damage[stage_index] = (
             0.0,
@@ -297,7 +300,7 @@ class FewShotTuning(MachineTask[Config]):
             extra_payload_kg: Mass beyond the payload, kg.
         """
         stage.restore(self.start)
-        self.configure_stage(stage, stage_index, extra_payload_kg)
+        self.apply_machine_to(stage, stage_index, extra_payload_kg)
         stage.place(**{self.config.axis: self.trial.find_start(float(self.distance[stage_index]), angle)})
 
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
@@ -322,7 +325,7 @@ class FewShotTuning(MachineTask[Config]):
         Returns:
             Start rate and top rate, pps; durations of the ramp up and the ramp down, s.
         """
-        low, high = portable_math.log(np.array(list(RATES.values()))).T
+        low, high = portable_math.log(np.array(list(ACTION_RANGES.values()))).T
         start, drive, up, down = portable_math.exp(
             low + (high - low) * (np.asarray(action, np.float64) + 1) / 2
         ).tolist()
@@ -357,7 +360,7 @@ class FewShotTuning(MachineTask[Config]):
     @property
     def _deposit(self) -> np.ndarray:
         """Largest value that a move of each stage can have, (n,): it makes all its pulses at the highest drive rate."""
-        return self._compute_value(self.distance / RATES["drive"][1])
+        return self._compute_value(self.distance / ACTION_RANGES["drive"][1])
 
     def make_programs(self) -> list[Program]:
         return self._make_programs_from_registers(self.to_registers(self.actions))
@@ -372,7 +375,7 @@ class FewShotTuning(MachineTask[Config]):
         c, t, usual = self.config, truth[:, self.axis.index], self.usual_times_s
         outcome = self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M)
         good = self.undiverged_stages
-        cost = outcome.duration + c.vibration_weight * outcome.vibration / TENTH_MM
+        cost = outcome.duration + c.vibration_weight * outcome.vibration / DISPLACEMENT_SCALE_M
         rows, indices = self.to_registers(self.actions), np.flatnonzero(good)
         before = self._compute_answer_value(self.steps - 1)
         self.cost[indices, self.steps[indices] - 1] = np.where(outcome.in_step, cost, np.inf)[indices]
@@ -391,7 +394,7 @@ class FewShotTuning(MachineTask[Config]):
             outcome.duration / (2 * usual),
             outcome.finished,
             by_encoder,
-            c.encoder * outcome.swing / (outcome.swing + TENTH_MM),
+            c.encoder * outcome.swing / (outcome.swing + DISPLACEMENT_SCALE_M),
         ]
         tried = np.concatenate([self.actions, np.ones((self.n, 1)), np.stack(row, axis=1)], axis=1)
         self.table[indices, self.steps[indices] - 1] = np.clip(np.nan_to_num(tried[indices]), -1.0, 1.0)

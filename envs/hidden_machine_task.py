@@ -6,10 +6,10 @@ FAULTS = machine_faults.HAMPERING       the faults that machines of this task ma
 
 class MyTask(MachineTask[Config]):
 def make_spaces_and_arrays(self):
-    self.prepare_machines()             makes `machines`, `ranges`, `faults` and `context`
+    self.read_nominal_machines()             makes `machines`, `ranges`, `faults` and `context`
 def begin_episode(self, stage_index, options):
     self.draw_machine(stage_index, options)
-    self.configure_stage(self.stages[stage_index], stage_index)     also after each restore of the stage
+    self.apply_machine_to(self.stages[stage_index], stage_index)     also after each restore of the stage
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from stage.chips import Chip, chip_class
 from stage.envs import machine_contexts, machine_faults
 from stage.envs.settings import (
     AxisName,
+    BusCycleSeconds,
     ChoiceSetting,
     ChoicesSetting,
-    Cycle,
     NumberSetting,
     Pair,
-    Payloads,
+    PayloadRange,
     RangeSetting,
     Settings,
     TruthOption,
@@ -62,22 +62,22 @@ class MachineSettings(Settings):
         truth: Whether observation and info have values that no host can know: True (both), "info" (info alone), False (neither).
     """
 
-    FAULTS: ClassVar[tuple[str, ...]] = machine_faults.HAMPERING
+    FAULTS: ClassVar[tuple[str, ...]] = machine_faults.HAMPERING_FAULTS
     """Faults that machines of this task may have."""
     split: Annotated[str, ChoiceSetting(tuple(machine_contexts.SPLITS))] = "train"
     model: str | None = None
     chip: str | type[Chip] | None = None
-    payloads: Payloads | None = None
+    payloads: PayloadRange | None = None
     frictions: Annotated[Pair, RangeSetting(1e-3)] | None = None
     supplies: Annotated[Pair, RangeSetting(0.1, high=2.0)] | None = None
     currents: Annotated[Pair, RangeSetting(0.1, high=2.0)] | None = None
     losses: Annotated[Pair, RangeSetting(0.01, high=10.0)] | None = None
     inductances: Annotated[Pair, RangeSetting(0.1, high=10.0)] | None = None
     drifts: Annotated[Pair, RangeSetting(0.0, high=0.5)] | None = None
-    faults: Annotated[tuple[str, ...], ChoicesSetting(machine_faults.NAMES)] | None = None
+    faults: Annotated[tuple[str, ...], ChoicesSetting(machine_faults.FAULT_NAMES)] | None = None
     healthy: Annotated[float, NumberSetting(high=1.0)] = 0.0
     payload_on: AxisName | None = None
-    bus_cycle: Cycle = 1e-6
+    bus_cycle: BusCycleSeconds = 1e-6
     truth: TruthOption = "info"
 
     def __post_init__(self) -> None:
@@ -119,7 +119,7 @@ class MachineTask(MoveTask[ConfigT]):
                 raise ArgumentError(f"axis {name}: it is no stepper's slide, and this task is of those.")
         return new_stage
 
-    def prepare_machines(self) -> None:
+    def read_nominal_machines(self) -> None:
         """Read the nominal machines from the first stage, before any context. Subclasses call this in `make_spaces_and_arrays`."""
         c: Any = self.config
         first, names = self.stages[0], self.axis_names
@@ -162,9 +162,9 @@ class MachineTask(MoveTask[ConfigT]):
         if "fault" in options:
             if options["fault"] not in (known := ("none", *c.FAULTS)):
                 raise unknown_name_error("option fault", options["fault"], known)
-            self.context[stage_index]["fault"] = machine_faults.NAMES.index(options["fault"])
+            self.context[stage_index]["fault"] = machine_faults.FAULT_NAMES.index(options["fault"])
 
-    def configure_stage(
+    def apply_machine_to(
         self, stage: Stage, stage_index: int, extra_payload_kg: float = 0.0, bounce: float = 0.0
     ) -> None:
         """Apply the machine of an episode, with its fault, to a stage.
@@ -180,19 +180,19 @@ class MachineTask(MoveTask[ConfigT]):
         for machine in self.machines:
             machine.apply(stage, context, extra_payload_kg + machine_faults.compute_overload_kg(fault))
         for j, axis in enumerate(self.faulty):
-            axis.apply(stage, machine_faults.NAMES[fault if j == at else 0], bounce)
+            axis.apply(stage, machine_faults.FAULT_NAMES[fault if j == at else 0], bounce)
 
     def apply_machine(self, stage_index: int) -> None:
-        self.configure_stage(self.stages[stage_index], stage_index)
+        self.apply_machine_to(self.stages[stage_index], stage_index)
 
     def describe_machine(self, stage_index: int) -> dict[str, Any]:
         """Return the hidden machine of a stage for the info of a reset, as values by name."""
-        return {f.name: f.kind(self.context[stage_index][f.name]) for f in machine_contexts.INFO}
+        return {f.name: f.kind(self.context[stage_index][f.name]) for f in machine_contexts.INFO_FEATURES}
 
     @property
     def machine_info(self) -> dict[str, np.ndarray]:
         """Hidden machines of all stages for the info of a step, as arrays by name."""
-        return {f.name: self.context[f.name] for f in machine_contexts.INFO}
+        return {f.name: self.context[f.name] for f in machine_contexts.INFO_FEATURES}
 
     @property
     def machine_features(self) -> np.ndarray:

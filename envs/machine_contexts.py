@@ -22,8 +22,8 @@ from stage import Stage
 from stage.drives.motor_tolerances import estimate_tolerances
 from stage.drives.motors import MOTORS
 from stage.envs.observation_features import TRUTH, Feature
-from stage.envs.scaling import scale
-from stage.envs.settings import read_option
+from stage.envs.scaling import scale_linear
+from stage.envs.settings import read_number_option
 from stage.native import record
 from stage.support import portable_math
 
@@ -63,7 +63,7 @@ current. Above that speed, core loss and inductance limit the torque. Their rang
 models' motor (stage/drives/motor_tolerances.py). Those in weak begin where the tolerances end. Its largest loss, 9e-4 N m s/rad,
 is that of the motor whose curve is published."""
 
-KINDS = {
+CONTEXT_NUMBERS = {
     "payload": ("payloads", "kg on the table"),
     "friction": ("frictions", "times the friction and damping of the axis"),
     "supply": ("supplies", "times the nominal voltage of the drive"),
@@ -77,21 +77,21 @@ KINDS = {
     ),
 }
 """Numbers of a context: name -> (setting with its range; "" for 0 to 1, meaning)."""
-LOGARITHMIC = ("friction", "loss")
+LOGARITHMIC_NUMBERS = ("friction", "loss")
 """Numbers of a context that are drawn evenly by their logarithm; all others are drawn evenly."""
 
-CONTEXT = record([(name, "f8") for name in KINDS] + [("fault", "i8"), ("faulty", "i8")])
+CONTEXT = record([(name, "f8") for name in CONTEXT_NUMBERS] + [("fault", "i8"), ("faulty", "i8")])
 """Numbers of a context; fault: index in machine_faults.NAMES, 0 for none; faulty: index of the axis that has the fault."""
-OPTIONS = (*KINDS, "fault")
+RESET_OPTION_NAMES = (*CONTEXT_NUMBERS, "fault")
 """Values of a machine that options of a reset can set."""
-INFO = (
-    *(Feature(name, TRUTH, f"{text}, of the episode", kind=float) for name, (_, text) in KINDS.items()),
+INFO_FEATURES = (
+    *(Feature(name, TRUTH, f"{text}, of the episode", kind=float) for name, (_, text) in CONTEXT_NUMBERS.items()),
     Feature("fault", TRUTH, "number of the machine's fault in machine_faults.NAMES, 0 for none", kind=int),
 )
 """Features of a machine in an info."""
 
-OBSERVATION = (
-    *(Feature(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in KINDS.items()),
+OBSERVATION_FEATURES = (
+    *(Feature(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in CONTEXT_NUMBERS.items()),
     Feature("fault", TRUTH, "1 if the machine has a fault"),
 )
 """Features of a machine in an observation with truth=True; `scale_contexts` computes them."""
@@ -111,13 +111,15 @@ def get_split_setting(config: Any, name: str) -> Any:
 def get_context_ranges(config: Any) -> dict[str, tuple[float, float]]:
     """Return the smallest and largest value of each number of a context (hidden machine), by name."""
     unit_range = (0.0, 1.0)
-    return {name: get_split_setting(config, kind) if kind else unit_range for name, (kind, _) in KINDS.items()}
+    return {
+        name: get_split_setting(config, kind) if kind else unit_range for name, (kind, _) in CONTEXT_NUMBERS.items()
+    }
 
 
 def draw_context(
     rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]], context: Any, options: Mapping[str, Any]
 ) -> None:
-    """Draw the numbers of a context (hidden machine), evenly over their ranges; those in LOGARITHMIC evenly by their logarithm.
+    """Draw the numbers of a context (hidden machine), evenly over their ranges; LOGARITHMIC_NUMBERS by their logarithm.
 
     Args:
         rng: Random generator. Each number is drawn even if an option replaces it, so that an option changes no other number.
@@ -131,10 +133,10 @@ def draw_context(
     for name, (low, high) in ranges.items():
         drawn = (
             portable_math.exp(rng.uniform(*portable_math.log((low, high))))
-            if name in LOGARITHMIC
+            if name in LOGARITHMIC_NUMBERS
             else rng.uniform(low, high)
         )
-        context[name] = read_option(options, name, float(drawn), (low, high))
+        context[name] = read_number_option(options, name, float(drawn), (low, high))
 
 
 def scale_contexts(ranges: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
@@ -145,9 +147,9 @@ def scale_contexts(ranges: Mapping[str, tuple[float, float]], context: np.ndarra
         context: CONTEXT records, (n,).
 
     Returns:
-        Each number from -1 to 1 over its range, and 1 for a machine with a fault, (n, len(OBSERVATION)).
+        Each number from -1 to 1 over its range, and 1 for a machine with a fault, (n, len(OBSERVATION_FEATURES)).
     """
-    numbers = [scale(context[name], span) for name, span in ranges.items()]
+    numbers = [scale_linear(context[name], span) for name, span in ranges.items()]
     return np.stack([*numbers, context["fault"] != 0], axis=1)
 
 

@@ -30,19 +30,19 @@ FAULTS = {
     "overload": "12 kg were left on the table",
     "bounce": "the contact of ORG bounces for 1 ms",
 }
-NAMES = tuple(FAULTS)
+FAULT_NAMES = tuple(FAULTS)
 """Names of the faults; a context holds the index of its fault in this tuple."""
-DISABLING = NAMES[1:6]
+DISABLING_FAULTS = FAULT_NAMES[1:6]
 """Faults with which an axis cannot make its moves; a host can only detect and report them."""
-HAMPERING = ("binding", "sag", "overload")
+HAMPERING_FAULTS = ("binding", "sag", "overload")
 """Faults with which an axis still moves, but worse than a healthy one; slower moves avoid the effects."""
 BROWNOUT, SAG = 0.03, 0.6  # supply voltage, as a share of its healthy value
-BINDING = 0.25  # additional friction, as a share of the motor's largest force
-OVERLOAD = 12.0  # additional payload, kg
+BINDING_FRICTION_SHARE = 0.25  # additional friction, as a share of the motor's largest force
+OVERLOAD_KG = 12.0  # additional payload, kg
 BOUNCE, TOGGLES = 1e-3, 6  # duration of a bounce, s; number of level changes in it
-_SWITCH = {"org open": 0, "org closed": 1}
+_FORCED_ORG_LEVELS = {"org open": 0, "org closed": 1}
 _SUPPLY = {"brownout": BROWNOUT, "sag": SAG}
-_PUSH = {"jam": DEFAULT_JAM_FACTOR, "binding": BINDING}
+_FRICTION_SHARES = {"jam": DEFAULT_JAM_FACTOR, "binding": BINDING_FRICTION_SHARE}
 
 
 def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
@@ -56,7 +56,7 @@ def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: 
         context: Record to fill.
     """
     broken, which = rng.uniform() >= healthy, int(rng.integers(0, max(len(names), 1)))
-    context["fault"] = NAMES.index(names[which]) if broken and names else 0
+    context["fault"] = FAULT_NAMES.index(names[which]) if broken and names else 0
     context["faulty"] = rng.integers(0, axes) if axes > 1 else 0
 
 
@@ -64,9 +64,9 @@ def compute_overload_kg(fault: int) -> float:
     """Return the mass, kg, that a fault of the machine adds to the payload.
 
     Args:
-        fault: Index of the fault in NAMES.
+        fault: Index of the fault in FAULT_NAMES.
     """
-    return OVERLOAD if NAMES[fault] == "overload" else 0.0
+    return OVERLOAD_KG if FAULT_NAMES[fault] == "overload" else 0.0
 
 
 @dataclass(frozen=True)
@@ -125,16 +125,16 @@ class FaultyAxis:
         jammed, bounce = name == "jam", BOUNCE if name == "bounce" else bounce
         model.dof_solref[dof] = (2 * model.opt.timestep, 1) if jammed else self.solref
         model.dof_solimp[dof] = JAM_SOLIMP if jammed else self.solimp
-        if name in _PUSH:
-            model.dof_frictionloss[dof] += _PUSH[name] * self.push
+        if name in _FRICTION_SHARES:
+            model.dof_frictionloss[dof] += _FRICTION_SHARES[name] * self.push
         axis.faults.open_phases = self.phases | (stepper.A if name == "phase open" else 0)
         if name in _SUPPLY:
             axis.faults.bus_voltage *= _SUPPLY[name]
         if self.row is not None:
             switch = stage.state.switch_table[self.row]
-            switch["forced"] = _SWITCH.get(name, self.forced)
+            switch["forced"] = _FORCED_ORG_LEVELS.get(name, self.forced)
             switch["bounce"], switch["toggles"] = round(bounce * 1e9), TOGGLES if bounce else 0
-        elif name in _SWITCH or bounce:
+        elif name in _FORCED_ORG_LEVELS or bounce:
             raise ArgumentError(f"fault {name!r}: axis {self.axis} has no ORG switch.")
         stage.apply_faults()
         stage.update_switches(axis)

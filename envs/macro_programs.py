@@ -23,8 +23,8 @@ RATES = {"gentle": (500.0, 2000.0, 0.05), "usual": (1000.0, 8000.0, 0.05), "bold
 HOMING = SimpleNamespace(multiplier=30, leave=0, back_off=400, limit=3.0, settle=0.02, ez=0)
 """Settings of the macro `home`, with the names of OriginReturn's settings."""
 SPEEDS_HOME = (1000.0, 6000.0, 0.05, 1000.0)  # start rate and drive rate, pps; ramp, s; rate of the approach, pps
-OTHERS = ("plus", "minus", "home", "wait", "read")
-KINDS = ("rates", "distance", *OTHERS, "select")
+MACROS_WITHOUT_VALUES = ("plus", "minus", "home", "wait", "read")
+KINDS = ("rates", "distance", *MACROS_WITHOUT_VALUES, "select")
 
 
 class MacroTable:
@@ -51,12 +51,14 @@ class MacroTable:
         self._choices: list[np.ndarray] = []
         for axis in axes:
             self._add_axis_programs(axis, patience, settle)
-        one = [*(f"rates {r}" for r in RATES), *(f"distance {d}" for d in self.grid), *OTHERS]
+        one = [*(f"rates {r}" for r in RATES), *(f"distance {d}" for d in self.grid), *MACROS_WITHOUT_VALUES]
         self.macros_per_axis, m = len(one), len(axes)
         self.names = (*one, *(f"select {axis.name}" for axis in axes))
         kinds = np.array([name.split()[0] for name in self.names])
         self.is_kind = {kind: kinds == kind for kind in KINDS}
-        self.value = np.array([*range(len(RATES)), *range(len(self.grid)), *[0] * len(OTHERS), *range(m)])
+        self.value = np.array(
+            [*range(len(RATES)), *range(len(self.grid)), *[0] * len(MACROS_WITHOUT_VALUES), *range(m)]
+        )
         self._is_move_start = self.is_kind["plus"] | self.is_kind["minus"]
         self._at = np.zeros((m, len(self.names)), np.int64)  # index of a macro's first program; program 0 is empty
         self._at[:, : self.macros_per_axis] = np.array(self._first).reshape(m, self.macros_per_axis)
@@ -122,7 +124,7 @@ class MacroTable:
         pages = np.where(which, self._at[axis, macros] + of_starts, 0)
         return self._table[pages, : max(1, int(self._lengths[pages].max()))]
 
-    def ends_at_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
+    def find_returns_at_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
         """Return which of the origin returns of an axis have ended at the origin, as a mask.
 
         Args:

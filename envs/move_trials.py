@@ -15,7 +15,7 @@ from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import Program
 from stage.sim.stage import Axis
 
-TENTH_MM = 1e-4  # m
+DISPLACEMENT_SCALE_M = 1e-4  # m
 MAX_OFFSET_M = 50e-6  # between the carriage and the position that the pulses imply, at rest
 
 
@@ -159,7 +159,7 @@ class MoveTrial(StartPositions):
         p.measure(self.settle, self.point)
         return p.sample_position(self.axis.index) if self.encoder else p
 
-    def is_hopeless(self, program: Program, distance: int, timeout_s: float) -> bool:
+    def exceeds_timeout(self, program: Program, distance: int, timeout_s: float) -> bool:
         """Return whether the chip cannot make the pulses within `timeout_s`, so that physics need not run.
 
         Args:

@@ -38,7 +38,7 @@ class Feature:
     kind: Any = None
 
 
-EVERY_STEP = (
+EVERY_STEP_FEATURES = (
     Feature("cause", HOST, 'why the simulation itself ended the episode: "diverged", otherwise ""'),
     Feature("reward_parts", TRUTH, "the named parts of the reward"),
 )
@@ -56,7 +56,7 @@ class TruthSetting:
             )
 
 
-def list_visible(features: Iterable[Feature], truth: Any) -> list[bool]:
+def list_visibility(features: Iterable[Feature], truth: Any) -> list[bool]:
     """List for each feature whether an observation contains it.
 
     Args:
@@ -66,14 +66,14 @@ def list_visible(features: Iterable[Feature], truth: Any) -> list[bool]:
     return [f.who == HOST or truth is True for f in features]
 
 
-def list_hidden(features: Iterable[Feature], truth: Any) -> frozenset[str]:
+def list_hidden_names(features: Iterable[Feature], truth: Any) -> frozenset[str]:
     """List the names that an info lacks because of the setting `truth`.
 
     Args:
         features: Features of the info.
         truth: The setting `truth`.
     """
-    return frozenset(f.name for f in (*features, *EVERY_STEP) if f.who == TRUTH and truth is False)
+    return frozenset(f.name for f in (*features, *EVERY_STEP_FEATURES) if f.who == TRUTH and truth is False)
 
 
 PAGE = """# Host or truth
@@ -107,7 +107,7 @@ def format_features_page() -> str:
         module, name = where.split(":")
         task = getattr(import_module(f"stage.envs.{module}"), name)
         lines += [f"## {id_}", "", f"`truth={task.Config.truth!r}` by default."]
-        for title, features in (("observation", task.OBSERVATION), ("info", (*task.INFO, *EVERY_STEP))):
+        for title, features in (("observation", task.OBSERVATION), ("info", (*task.INFO, *EVERY_STEP_FEATURES))):
             lines += ["", f"| {title} | who | what |", "|---|---|---|"]
             lines += [f"| {f.name} | {f.who} | {f.text}{f'; for each {f.each}' if f.each else ''} |" for f in features]
         lines.append("")

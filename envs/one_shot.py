@@ -24,8 +24,8 @@ import numpy as np
 from stage.envs import few_shot, machine_contexts
 from stage.envs.few_shot import FewShotTuning
 from stage.envs.observation_features import HOST, Feature
-from stage.envs.scaling import scale, scale_log
-from stage.envs.settings import ChoiceSetting, Count, NumberSetting, read_option
+from stage.envs.scaling import scale_linear, scale_log
+from stage.envs.settings import ChoiceSetting, Count, NumberSetting, read_number_option
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.errors import ArgumentError
 
@@ -60,7 +60,7 @@ class OneShotTuning(FewShotTuning):
     OBSERVATION = (
         FewShotTuning.OBSERVATION[0],
         Feature("declared", HOST, "payload as declared, from -1 to 1 over `payloads`"),
-        *machine_contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION_FEATURES,
     )
     INFO = (Feature("declared", HOST, "kg; in the info of a reset"), *FewShotTuning.INFO)
 
@@ -76,7 +76,7 @@ class OneShotTuning(FewShotTuning):
         off = 1 + self.config.error * rng.uniform(-1, 1)  # type: ignore[attr-defined]
         largest = self.ranges["payload"][1]
         drawn = min(float(self.context[stage_index]["payload"]) * off, largest)
-        self.declared[stage_index] = read_option(options, "declared", drawn, (0.0, largest))
+        self.declared[stage_index] = read_number_option(options, "declared", drawn, (0.0, largest))
         self._store_formula_move(stage_index, float(self.declared[stage_index]))
 
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
@@ -84,7 +84,7 @@ class OneShotTuning(FewShotTuning):
 
     def compute_observations(self) -> np.ndarray:
         distance = scale_log(self.distance, self.config.distances)
-        declared = scale(self.declared, self.ranges["payload"])
+        declared = scale_linear(self.declared, self.ranges["payload"])
         columns = [np.stack([distance, declared], axis=1), self.machine_features]
         return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
 

@@ -49,7 +49,7 @@ from stage.envs import settings
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
 from stage.envs.register_scaling import RegisterBox
-from stage.envs.scaling import scale, scale_log
+from stage.envs.scaling import scale_linear, scale_log
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.task import MoveTask
 from stage.errors import unknown_name_error
@@ -97,9 +97,9 @@ class Config(settings.Settings):
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
     axis: settings.AxisName = "x"
-    actions: settings.Actions = "box"
+    actions: settings.ActionKind = "box"
     returns: settings.Count = 5
-    payloads: settings.Payloads = (0.0, 10.0)
+    payloads: settings.PayloadRange = (0.0, 10.0)
     payload_on: settings.AxisName | None = None
     frictions: Annotated[settings.Pair, settings.RangeSetting(1e-3)] = (
         0.5,
@@ -118,7 +118,7 @@ class Config(settings.Settings):
     missed_weight: settings.Weight = 20.0
     limit_weight: settings.Weight = 2.0
     lost_weight: settings.Weight = 2.0
-    bus_cycle: settings.Cycle = 1e-6
+    bus_cycle: settings.BusCycleSeconds = 1e-6
     truth: settings.TruthOption = True
 
 
@@ -201,8 +201,8 @@ class OriginReturn(MoveTask[Config]):
             float(rng.uniform(*c.payloads)),
             float(portable_math.exp(rng.uniform(*portable_math.log(c.frictions)))),
         )
-        self.payload[stage_index] = settings.read_option(options, "payload", payload, c.payloads)
-        self.friction[stage_index] = settings.read_option(options, "friction", friction, c.frictions)
+        self.payload[stage_index] = settings.read_number_option(options, "payload", payload, c.payloads)
+        self.friction[stage_index] = settings.read_number_option(options, "friction", friction, c.frictions)
         self._apply_payload_and_friction(stage_index)
         self.ends[stage_index], self.last[stage_index] = (np.inf, -np.inf), 0.0
         self._draw_move(stage_index, options)
@@ -220,7 +220,7 @@ class OriginReturn(MoveTask[Config]):
         """
         c, rng, stage = self.config, self.rngs[stage_index], self.stages[stage_index]
         drawn = float(rng.uniform(self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M))
-        self.place[stage_index] = settings.read_option(options, "start", drawn, self.axis.travel)
+        self.place[stage_index] = settings.read_number_option(options, "start", drawn, self.axis.travel)
         self.shift[stage_index] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
         self._shift_switch(stage_index)
         stage.restore(self.start)
@@ -301,7 +301,7 @@ class OriginReturn(MoveTask[Config]):
             inputs & self.axis.chip.find_switch_input("org") != 0,
             inputs & self.axis.chip.find_switch_input("sd_plus") != 0,
             1.0 - self.steps / c.returns,
-            scale(self.payload, c.payloads),
+            scale_linear(self.payload, c.payloads),
             scale_log(self.friction, c.frictions),
         ]
         now = np.concatenate([np.stack(columns, axis=1), self.last], axis=1)

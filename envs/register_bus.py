@@ -58,14 +58,14 @@ from stage.envs.compiled_task import CompiledTask
 from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.stage_env import StageEnv, StageVectorEnv
-from stage.envs.step_results import DIVERGED
+from stage.envs.step_results import DIVERGENCE_REWARD
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support import portable_math
 
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k waits for waits[k]
 GOALS = ("position", "home")
-DISTANCES = (400, 8000)  # default range of the targets' distances, pulses
-ROOM = 0.9  # largest default distance of a target, as a share of the distance to the nearest end limit
+DEFAULT_DISTANCES_PULSES = (400, 8000)  # default range of the targets' distances, pulses
+MAX_DISTANCE_SHARE = 0.9  # largest default distance of a target, as a share of the distance to the nearest end limit
 LIMIT_CLEARANCE_M = 5e-4  # smallest distance between a start with goal "home" and an end limit
 
 
@@ -106,19 +106,19 @@ class Config(settings.Settings):
         1e-2,
         1e-1,
     )
-    distances: settings.Counts | None = None
-    tolerance: settings.Positive = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
-    standing: settings.Positive = 1e-3
+    distances: settings.CountRange | None = None
+    tolerance: settings.PositiveNumber = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
+    standing: settings.PositiveNumber = 1e-3
     time_limit: settings.Seconds = 30.0
     cycles: settings.Count = 2000
-    live: settings.Flag = False
+    live: settings.Boolean = False
     truth: settings.TruthOption = "info"
     discount: settings.Discount = 1.0
     progress_weight: settings.Weight = 1.0
     time_weight: settings.Weight = 0.1
     success_weight: settings.Weight = 10.0
     lost_weight: settings.Weight = 0.05
-    bus_cycle: settings.Cycle = 1e-6
+    bus_cycle: settings.BusCycleSeconds = 1e-6
 
     def __post_init__(self) -> None:
         if self.tolerance is None:
@@ -126,7 +126,7 @@ class Config(settings.Settings):
         super().__post_init__()
         if max(self.waits) > self.time_limit:
             raise ArgumentError(f"waits={self.waits!r}: up to time_limit={self.time_limit!r} s.")
-        low, high = self.distances or DISTANCES
+        low, high = self.distances or DEFAULT_DISTANCES_PULSES
         if not self.tolerance < low <= high:
             raise ArgumentError(f"distances={(low, high)!r}: (least, most) pulses, beyond the tolerance.")
 
@@ -153,8 +153,8 @@ class RegisterBus(CompiledTask[Config]):
         Feature("actions", HOST, "actions so far / `cycles`"),
     )
     CORE: ClassVar = core
-    INFO = core.INFO
-    PARTS = core.PARTS
+    INFO = core.INFO_FEATURES
+    PARTS = core.REWARD_PARTS
 
     def make_stage(self, visuals: bool) -> Stage:
         c = self.config
@@ -175,8 +175,8 @@ class RegisterBus(CompiledTask[Config]):
         self.turn = np.array([StartPositions(a).turn for a in self.axes])
         room_m = np.abs(self.limits - self.power_up[:, None]).min(axis=1) - self.turn
         room = (room_m / self.per_pulse).min()
-        least, largest = DISTANCES
-        self.distances = c.distances or (least, max(least, min(largest, int(ROOM * room))))
+        least, largest = DEFAULT_DISTANCES_PULSES
+        self.distances = c.distances or (least, max(least, min(largest, int(MAX_DISTANCE_SHARE * room))))
         if c.goal == "home":
             self.origin = np.array([self._get_switch_position(a, "org") for a in self.axes])
             if np.isnan(self.origin).any():
@@ -197,28 +197,28 @@ class RegisterBus(CompiledTask[Config]):
         choices = [2 + len(c.waits), len(chips), chip.ADDRESSES, chip.DATA_MASK + 1]
         self.action_space = gymnasium.spaces.MultiDiscrete(choices)
         size = (
-            len(chips) * core.count_observation_words(chip.ADDRESSES, bits)
+            len(chips) * core.count_chip_features(chip.ADDRESSES, bits)
             + m * (core.PER_AXIS + core.TRUTH * (c.truth is True))
             + core.COMMON
         )
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
         self.waits = np.array([round(w * 1e9) for w in c.waits], np.int64)  # ns
         self._fill_rule_records()
-        self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
-        self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
+        self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS_STATE)
+        self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD_READ)
         self.make_step_arrays(m, operation_count=1)
 
     def _fill_rule_records(self) -> None:
         """Fill the records from which compiled code reads the settings of the environment."""
         c = self.config
-        self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
+        self.rules, self.axis_rules = np.zeros(1, core.TASK_PARAMETERS), np.zeros(len(self.axes), core.AXIS_PARAMETERS)
         rules = {name: getattr(c, name) for name in core.SETTINGS} | {"truth": c.truth is True}
         rules |= self._bus | {
             "distance": self.distances[1],
             "duration": c.time_limit * 1e9,
             "limit": round(c.time_limit * 1e9),
         }
-        for name, value in {**rules, "home": c.goal == "home", "diverged": DIVERGED}.items():
+        for name, value in {**rules, "home": c.goal == "home", "diverged": DIVERGENCE_REWARD}.items():
             self.rules[name] = value
         of_axes = {
             "near": c.tolerance * self.per_pulse, "per_pulse": self.per_pulse, "full_step": self.full_step,
@@ -284,7 +284,7 @@ class RegisterBus(CompiledTask[Config]):
         indices = self.axis_states[stage_index]
         indices["target"], indices["goal"], indices["lost"] = target, goal, 0
         self.words[stage_index]["seen"], self.words[stage_index]["when"] = 0, -1
-        self.conclude_steps(stage_index, stage_index + 1, True)
+        self.judge_and_observe(stage_index, stage_index + 1, True)
 
     def _draw_start_positions(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a start position for each axis, m: between the end limits, and not within the tolerance of the origin."""

@@ -17,13 +17,13 @@ WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k waits for waits[k]
 HALF_AGE_NS = 1e6  # age at which 1 / (1 + age / HALF_AGE_NS) is one half
 SPEED_SCALE, STEPS_SCALE = 0.5, 64.0  # m/s, full steps: values that scale to 1 in an observation
 PER_AXIS, TRUTH, COMMON = 1, 4, 4
-MAX_PAID_STEPS = 64  # largest number of lost full steps in an episode that cost something
+MAX_PENALIZED_LOST_STEPS = 64  # largest number of lost full steps in an episode that cost something
 
 SETTINGS = {
     **dict.fromkeys("discount progress_weight time_weight success_weight lost_weight standing cycles".split(), "f8"),
     **dict.fromkeys("live truth".split(), "i8"),
 }
-RULES = record(
+TASK_PARAMETERS = record(
     [
         *SETTINGS.items(),
         *(("distance", "f8"), ("duration", "f8"), ("limit", "i8"), ("home", "i8"), ("diverged", "f8")),
@@ -33,7 +33,9 @@ RULES = record(
 """Settings of the task, by their names; target that scales to 1, pulses; time that scales to 1, ns; time limit, ns; whether the
 goal is "home"; reward of a divergence; bits of the data bus; address of the status; largest datum."""
 
-AXIS_RULES = record([(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8")])
+AXIS_PARAMETERS = record(
+    [(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8")]
+)
 """Values of an axis: tolerance, pulse, full step, error that scales to 1, ends of the travel, all in m; index of its chip."""
 
 EPISODE = record(
@@ -51,14 +53,14 @@ EPISODE = record(
 """State of an episode: time at its beginning and at that of the step, ns; last potential; value just read, or -1; lost full steps
 that have been paid; potential at its beginning; loan paid so far, for a discount below 1; costs that are left, charged already."""
 
-AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
+AXIS_STATE = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
 """State of an axis: goal, m; target, pulses; largest number of lost full steps so far."""
 
-WORD = record([("seen", "i8"), ("when", "i8")])
+WORD_READ = record([("seen", "i8"), ("when", "i8")])
 """Last read of an address of a chip: the value (seen), and the time (when), ns; -1 if it was never read."""
 
 
-def count_observation_words(addresses, bits):
+def count_chip_features(addresses, bits):
     """Return how many numbers of an observation a chip has: its status bits, the words at its other addresses, and all their ages.
 
     Args:
@@ -68,8 +70,8 @@ def count_observation_words(addresses, bits):
     return bits + (addresses - 1) + addresses
 
 
-PARTS = ("progress", "time", "success", "lost", "failed")
-INFO = (
+REWARD_PARTS = ("progress", "time", "success", "lost", "failed")
+INFO_FEATURES = (
     observation_features.Feature(
         "target", observation_features.HOST, "signed pulses of each axis; in the info of a reset"
     ),
@@ -81,9 +83,9 @@ INFO = (
     ),
     observation_features.Feature("lost_steps", observation_features.TRUTH, "full steps, of all axes", kind=int),
 )
-RESULT = make_step_result_dtype(PARTS, INFO)
+RESULT = make_step_result_dtype(REWARD_PARTS, INFO_FEATURES)
 
-FRAME = record(
+ARRAY_TABLE = record(
     [
         (name, "i8")
         for name in "handles rules axis_rules waits active observed actions steps ops values status results".split()
@@ -97,12 +99,12 @@ INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.
 HANDLE, TRUTHS = compiled_stage_access.HANDLE, player.TRUTH
 
 
-@exported(None, FRAME, "i8", "i8")
+@exported(None, ARRAY_TABLE, "i8", "i8")
 def play_actions(frame, begin, end):
     """Convert the actions of active stages to operations of a host, and play them, except on stages that Python must play.
 
     Args:
-        frame: FRAME record.
+        frame: ARRAY_TABLE record.
         begin: First stage.
         end: Stage after the last one.
     """
@@ -110,7 +112,7 @@ def play_actions(frame, begin, end):
     waits = array_at(frame.waits, frame.n_waits, INTEGER)
     active = array_at(frame.active, frame.stages, FLAG)
     observed = array_at(frame.observed, frame.stages, FLAG)
-    most = array_at(frame.rules, 1, RULES)[0].most
+    most = array_at(frame.rules, 1, TASK_PARAMETERS)[0].most
     actions = array_at(frame.actions, (frame.stages, 4), INTEGER)
     ops = array_at(frame.ops, (frame.stages, 1, 4), INTEGER)
     values = array_at(frame.values, (frame.stages, 1), INTEGER)
@@ -174,7 +176,7 @@ def _set_discounted_parts(settings, over, now, potential, episode, parts):
     if over:
         parts.progress, parts.time, parts.lost, parts.failed = progress - episode.loan, time, lost, -episode.left
         return
-    dearest = settings.time_weight * 1e-9 * settings.limit + settings.lost_weight * MAX_PAID_STEPS
+    dearest = settings.time_weight * 1e-9 * settings.limit + settings.lost_weight * MAX_PENALIZED_LOST_STEPS
     loan = greatest(progress + time + lost - episode.left, -dearest)
     loan /= 1.0 + (1.0 - settings.discount) * settings.cycles
     parts.progress, parts.time, parts.lost, parts.failed = settings.discount * loan - episode.loan, 0.0, 0.0, 0.0
@@ -208,13 +210,13 @@ def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words
         parts.progress = settings.progress_weight * (potential - episode.potential)
         parts.time = -settings.time_weight * 1e-9 * (now - episode.before)
         parts.success = settings.success_weight if success else 0.0
-        more = least(more, MAX_PAID_STEPS - episode.paid)
+        more = least(more, MAX_PENALIZED_LOST_STEPS - episode.paid)
         episode.paid += more
         parts.lost = -settings.lost_weight * more
         left = 0.0  # the cost of waiting until the end, and of all steps that could be lost: charged at once, given back at success
         if not success:
             left = settings.time_weight * 1e-9 * (settings.limit - (now - episode.began))
-            left += settings.lost_weight * (MAX_PAID_STEPS - episode.paid)
+            left += settings.lost_weight * (MAX_PENALIZED_LOST_STEPS - episode.paid)
         parts.failed = episode.left - left
         episode.left = left
         if settings.discount < 1.0:
@@ -275,27 +277,27 @@ def _write_observation(settings, rules, steps, episode, axes, words, truth, obse
         observation[j] = least(greatest(observation[j], -1.0), 1.0)
 
 
-@exported(None, FRAME, "i8", "i8", "i8")
-def conclude_steps(frame, begin, end, fresh):
+@exported(None, ARRAY_TABLE, "i8", "i8", "i8")
+def judge_and_observe(frame, begin, end, fresh):
     """Judge the last step of active stages that have played it, and write their observations, except of a stage that diverged.
 
     Args:
-        frame: FRAME record.
+        frame: ARRAY_TABLE record.
         begin: First stage.
         end: Stage after the last one.
         fresh: 1 if an episode begins on these stages, so that there is no step to judge; goals are already set.
     """
     handles = array_at(frame.handles, frame.stages, HANDLE)
-    r = array_at(frame.rules, 1, RULES)[0]
-    rules = array_at(frame.axis_rules, frame.n_axes, AXIS_RULES)
+    r = array_at(frame.rules, 1, TASK_PARAMETERS)[0]
+    rules = array_at(frame.axis_rules, frame.n_axes, AXIS_PARAMETERS)
     active = array_at(frame.active, frame.stages, FLAG)
     actions = array_at(frame.actions, (frame.stages, 4), INTEGER)
     values = array_at(frame.values, (frame.stages, 1), INTEGER)
     status = array_at(frame.status, frame.stages, INTEGER)
     steps = array_at(frame.steps, frame.stages, INTEGER)
     episodes = array_at(frame.episodes, frame.stages, EPISODE)
-    axes = array_at(frame.axes, (frame.stages, frame.n_axes), AXIS)
-    words = array_at(frame.words, (frame.stages, frame.n_chips, frame.n_addresses), WORD)
+    axes = array_at(frame.axes, (frame.stages, frame.n_axes), AXIS_STATE)
+    words = array_at(frame.words, (frame.stages, frame.n_chips, frame.n_addresses), WORD_READ)
     first = array_at(frame.first, frame.n_chips, INTEGER)
     truth = array_at(frame.truth, (frame.stages, frame.n_axes), TRUTHS)
     observations = array_at(frame.observations, (frame.stages, frame.width), SMALL)
@@ -322,12 +324,12 @@ def conclude_steps(frame, begin, end, fresh):
             _write_observation(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])
 
 
-@exported("i8", FRAME, "i8", "i8")
+@exported("i8", ARRAY_TABLE, "i8", "i8")
 def step_stages(frame, begin, end):
     """Play and judge a step of a range of stages.
 
     Args:
-        frame: FRAME record.
+        frame: ARRAY_TABLE record.
         begin: First stage.
         end: Stage after the last one.
 
@@ -335,7 +337,7 @@ def step_stages(frame, begin, end):
         Number of stages that have not played their program to its end.
     """
     play_actions(frame, begin, end)
-    conclude_steps(frame, begin, end, 0)
+    judge_and_observe(frame, begin, end, 0)
     unfinished = 0
     status = array_at(frame.status, frame.stages, INTEGER)
     for k in range(begin, end):

@@ -31,11 +31,11 @@ import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs import settings
-from stage.envs.move_trials import TENTH_MM, MoveTrial
+from stage.envs.move_trials import DISPLACEMENT_SCALE_M, MoveTrial
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.register_scaling import RegisterBox
 from stage.envs.stage_env import StageEnv, StageVectorEnv
-from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
+from stage.envs.tuning_task import NEXT_MOVE_FEATURES, TuningTask, make_move_info_features
 from stage.sim.fleet import PlayedPrograms
 from stage.sim.payload_and_judged_point import find_judged_point
 from stage.sim.program import END, Program
@@ -68,11 +68,11 @@ class Config(settings.Settings):
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    s_curve: settings.Flag | None = None
+    s_curve: settings.Boolean | None = None
     axis: settings.AxisName = "x"
-    actions: settings.Actions = "box"
-    distances: settings.Counts = (1600, 32000)
-    payloads: settings.Payloads = (0.0, 10.0)
+    actions: settings.ActionKind = "box"
+    distances: settings.CountRange = (1600, 32000)
+    payloads: settings.PayloadRange = (0.0, 10.0)
     payload_on: settings.AxisName | None = None
     judge_at: settings.AxisName | None = None
     moves: settings.Count = 8
@@ -81,8 +81,8 @@ class Config(settings.Settings):
     lost_weight: settings.Weight = 5.0
     vibration_weight: settings.Weight = 0.1
     limit_weight: settings.Weight = 5.0
-    bus_cycle: settings.Cycle = 1e-6
-    early_ends: settings.Flag = False
+    bus_cycle: settings.BusCycleSeconds = 1e-6
+    early_ends: settings.Boolean = False
     truth: settings.TruthOption = True
 
 
@@ -93,7 +93,7 @@ class RegisterTuning(TuningTask[Config]):
     PARTS = ("time", "lost", "vibration", "limit")
     UNIT = "pulses"
     OBSERVATION = (
-        *NEXT_MOVE,
+        *NEXT_MOVE_FEATURES,
         Feature("last_duration", HOST, "duration / `limit`"),
         Feature("last_lost", TRUTH, "1 if steps were lost"),
         Feature("last_vibration", TRUTH, "vibration / (vibration + 0.1 mm)"),
@@ -104,7 +104,7 @@ class RegisterTuning(TuningTask[Config]):
         Feature("lost_steps", TRUTH, "full steps", kind=int),
         Feature("vibration", TRUTH, "m, travel of the judged point after the stop", kind=float),
         Feature("finished", HOST, "the move made all its pulses", kind=bool),
-        *describe_move_info("pulses", "electrical turn of the motor"),
+        *make_move_info_features("pulses", "electrical turn of the motor"),
     )
 
     def chip(self) -> type[Chip]:
@@ -122,7 +122,7 @@ class RegisterTuning(TuningTask[Config]):
     def make_program(self, row: np.ndarray, distance: int) -> Program:
         c = self.config
         program = self.trial.make_program(self.registers.to_dict(row), distance, c.limit, end_on_lost_step=c.early_ends)
-        if c.early_ends and self.trial.is_hopeless(program, distance, c.limit):
+        if c.early_ends and self.trial.exceeds_timeout(program, distance, c.limit):
             program.ops[0] = (END, 0, 0, 0)
         return program
 
@@ -134,11 +134,13 @@ class RegisterTuning(TuningTask[Config]):
         parts = {
             "time": -duration,
             "lost": np.where(lost, -c.lost_weight, 0.0),
-            "vibration": -c.vibration_weight * np.minimum(vibration / TENTH_MM, 100.0),
+            "vibration": -c.vibration_weight * np.minimum(vibration / DISPLACEMENT_SCALE_M, 100.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
         }
         info = {"duration": duration, "lost_steps": t["lost_steps"], "vibration": vibration, "finished": finished}
-        now = np.stack([duration / c.limit, lost * 1.0, vibration / (vibration + TENTH_MM), finished * 1.0], axis=1)
+        now = np.stack(
+            [duration / c.limit, lost * 1.0, vibration / (vibration + DISPLACEMENT_SCALE_M), finished * 1.0], axis=1
+        )
         self.set_move_results(parts, info, now)
 
 

@@ -88,7 +88,7 @@ class PoseSampler:
         self._recording: Recording = recording
         self._begin, self._stride = len(self._recording), max(1, round(every / self._recording.every))
 
-    def finish(self) -> np.ndarray:
+    def read_sampled_poses(self) -> np.ndarray:
         """Return the joint positions sampled during a step, (frames, nq), when it is over; the last row is the end of the step."""
         rows = [piece["qpos"] for piece in self._recording.pieces(begin=self._begin)]
         if self._own_recording is not None:

@@ -7,7 +7,7 @@ from typing import Any
 from stage.support import portable_math
 
 
-def scale(values: Any, ends: Any) -> Any:
+def scale_linear(values: Any, ends: Any) -> Any:
     """Scale numbers linearly so that the ends of a range become -1 and 1.
 
     Args:
@@ -25,4 +25,4 @@ def scale_log(values: Any, ends: Any) -> Any:
         values: Number or array, above 0.
         ends: Smallest and largest value of the range.
     """
-    return scale(portable_math.log(values), portable_math.log(ends))
+    return scale_linear(portable_math.log(values), portable_math.log(ends))

@@ -32,7 +32,7 @@ from stage.envs import settings
 from stage.envs.observation_features import HOST, Feature
 from stage.envs.register_scaling import RegisterBox
 from stage.envs.stage_env import StageEnv, StageVectorEnv
-from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
+from stage.envs.tuning_task import NEXT_MOVE_FEATURES, TuningTask, make_move_info_features
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
 from stage.sim.fleet import PlayedPrograms
@@ -77,20 +77,20 @@ class Config(settings.Settings):
     chip: str | type[Chip] = "HCTL1100"
     axis: settings.AxisName = "x"
     motion: Annotated[str, settings.ChoiceSetting(MOTIONS)] = "step"
-    actions: settings.Actions = "box"
-    distances: settings.Counts = (50, 500)
-    payloads: settings.Payloads = (0.0, 10.0)
+    actions: settings.ActionKind = "box"
+    distances: settings.CountRange = (50, 500)
+    payloads: settings.PayloadRange = (0.0, 10.0)
     payload_on: settings.AxisName | None = None
     moves: settings.Count = 8
-    velocity: settings.Positive = 40_000.0
-    acceleration: settings.Positive = 400_000.0
-    deadband: settings.Positive = 3.0
+    velocity: settings.PositiveNumber = 40_000.0
+    acceleration: settings.PositiveNumber = 400_000.0
+    deadband: settings.PositiveNumber = 3.0
     limit: settings.Seconds = 0.5
     rest: Annotated[float, settings.NumberSetting(SAMPLE_INTERVAL_S, high=settings.MAX_SECONDS)] = 0.1
     overshoot_weight: settings.Weight = 0.2
     unrest_weight: settings.Weight = 0.2
     limit_weight: settings.Weight = 1.0
-    bus_cycle: settings.Cycle = 1e-6
+    bus_cycle: settings.BusCycleSeconds = 1e-6
     truth: settings.TruthOption = True
 
     def __post_init__(self) -> None:
@@ -107,7 +107,7 @@ class ServoTuning(TuningTask[Config]):
     PARTS = ("time", "overshoot", "unrest", "limit")
     UNIT = "counts"
     OBSERVATION = (
-        *NEXT_MOVE,
+        *NEXT_MOVE_FEATURES,
         Feature("last_settled", HOST, "settling time / `limit`"),
         Feature("last_overshoot", HOST, "overshoot / (overshoot + 10 counts)"),
         Feature("last_unrest", HOST, "unrest / (unrest + 10 counts)"),
@@ -119,7 +119,7 @@ class ServoTuning(TuningTask[Config]):
         Feature("unrest", HOST, "whole counts, peak to peak in the last `rest` seconds", kind=float),
         Feature("error", HOST, "whole counts, at the end", kind=float),
         Feature("finished", HOST, "it settled", kind=bool),
-        *describe_move_info("counts", "count of the encoder"),
+        *make_move_info_features("counts", "count of the encoder"),
     )
 
     def chip(self) -> type[Chip]:
@@ -136,7 +136,7 @@ class ServoTuning(TuningTask[Config]):
         super().make_spaces_and_arrays()
         self.goal = np.zeros(self.n)  # absolute position, counts of the encoder
 
-    def prepare_after_placing(self, stage_index: int) -> None:
+    def prepare_placed_move(self, stage_index: int) -> None:
         chip: Any = self.stages[stage_index].axes[self.config.axis].chip
         self.goal[stage_index] = chip.encoder + self.distance[stage_index]
 

@@ -186,23 +186,23 @@ class ChoicesSetting:
 
 
 Pair = tuple[float, float]
-Positive = Annotated[float, NumberSetting(exclude_low=True)]
+PositiveNumber = Annotated[float, NumberSetting(exclude_low=True)]
 Seconds = Annotated[float, NumberSetting(exclude_low=True, high=MAX_SECONDS)]
-Cycle = Annotated[float, NumberSetting(high=1.0)]
+BusCycleSeconds = Annotated[float, NumberSetting(high=1.0)]
 """Duration of a bus cycle, s."""
 Weight = Annotated[float, NumberSetting()]
 """Factor on a part of the reward, from 0 up; the environment decides whether the part is a cost."""
 Discount = Annotated[float, NumberSetting(exclude_low=True, high=1.0)]
 """Discount of the learner for one step."""
 Count = Annotated[int, NumberSetting(exclude_low=True, integer=True)]
-Counts = Annotated[tuple[int, int], RangeSetting(1, integer=True)]
-Payloads = Annotated[Pair, RangeSetting()]
+CountRange = Annotated[tuple[int, int], RangeSetting(1, integer=True)]
+PayloadRange = Annotated[Pair, RangeSetting()]
 """Range of the payload, kg."""
-Flag = Annotated[bool, BooleanSetting()]
+Boolean = Annotated[bool, BooleanSetting()]
 TruthOption = Annotated[bool | str, TruthSetting()]
 """Whether observation and info have values that no host can know, see observation_features.py."""
 AxisName = Annotated[str, NameSetting()]
-Actions = Annotated[str, ChoiceSetting(("box", "registers"))]
+ActionKind = Annotated[str, ChoiceSetting(("box", "registers"))]
 
 
 class Settings:
@@ -229,7 +229,7 @@ def _list_setting_kinds(config: type) -> list[tuple[str, Any]]:
     return [(name, kind) for name, part in parts for kind in getattr(part, "__metadata__", ())]
 
 
-def read_option(
+def read_number_option(
     options: Mapping[str, Any], name: str, default: float, limits: tuple[float, float]
 ) -> float | np.integer | np.floating:
     """Read a number of `reset(options=...)`.

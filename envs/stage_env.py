@@ -18,7 +18,7 @@ from stage.envs import env_snapshots
 from stage.envs.env_snapshots import EnvSnapshot
 from stage.envs.observation_features import Feature
 from stage.envs.settings import NumberSetting
-from stage.envs.step_results import DIVERGED as DIVERGED
+from stage.envs.step_results import DIVERGENCE_REWARD as DIVERGENCE_REWARD
 from stage.envs.task import MoveTask, Task, check_action, make_config
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.snapshots import SnapshotHeader
@@ -29,7 +29,7 @@ WIDTH, HEIGHT = 640, 480
 ENV_SETTINGS = ("render_mode", "camera", "record", "render_every")
 VECTOR_SETTINGS = ("num_envs", "threads", "autoreset_mode", "render_mode")
 """Settings of the scalar and of the vector environment beside those of the task."""
-FRAME_INTERVAL = NumberSetting(low=1e-4, high=1e3)  # time between frames, s
+FRAME_INTERVAL_SETTING = NumberSetting(low=1e-4, high=1e3)  # time between frames, s
 
 
 def _check_reset_options(
@@ -120,7 +120,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise unknown_name_error("render mode", render_mode, RENDER_MODES)
         if render_every is not None:
-            FRAME_INTERVAL.check("render_every", render_every)
+            FRAME_INTERVAL_SETTING.check("render_every", render_every)
         self.render_mode, self._camera, self._record = render_mode, camera, record
         self._frame_interval, self._last_frame_time = render_every, 0.0
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / (render_every or 1 / FPS)))}
@@ -165,7 +165,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         self._last_frame_time = self.stage.time
         self._add_frames(self.stage.data.qpos[None], None)
         self._task.update_observations()
-        return self._task.observations[0].copy(), self._task.reset_info(0)
+        return self._task.observations[0].copy(), self._task.make_reset_info(0)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if self._over:
@@ -219,10 +219,10 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
                 self._last_frame_time = self.stage.time
                 self._add_frames(self.stage.data.qpos[None], None)
         else:
-            frames = self._film_move()
+            frames = self._sample_move_poses()
             self._add_frames(frames, frames[-1].copy())
 
-    def _film_move(self) -> np.ndarray:
+    def _sample_move_poses(self) -> np.ndarray:
         """Play a whole move, and return the joint positions of its frames, (frames, nq); the last frame is the end of the move."""
         if self.render_mode == "rgb_array":
             self._task.play_actions()
@@ -233,7 +233,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         try:
             self._task.play_actions()
         finally:
-            frames = sampler.finish()
+            frames = sampler.read_sampled_poses()
         is_noted = self._frames and (begin == self._frames[-1]).all()
         return frames if is_noted else np.concatenate([begin[None], frames])
 
@@ -357,7 +357,7 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
                 self._task.rngs[k], _ = seeding.np_random(seeds[k])
                 self._seeded[k] = True
             self._task.reset_stage(k, options)
-            infos = self._add_info(infos, self._task.reset_info(k), k)
+            infos = self._add_info(infos, self._task.make_reset_info(k), k)
         self._over[mask] = False
         self._task.update_observations()
         return self._task.observations.copy(), infos
@@ -390,7 +390,7 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         infos: dict[str, Any] = {}
         for k in np.flatnonzero(self._over).tolist():
             task.reset_stage(k, {})
-            infos = self._add_info(infos, task.reset_info(k), k)
+            infos = self._add_info(infos, task.make_reset_info(k), k)
         rewards, ends = np.zeros(self.num_envs), np.zeros((2, self.num_envs), bool)
         if active.any():
             task.play_actions()
@@ -422,7 +422,7 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
             if self._over[k]:
                 merged = self._add_info(merged, {"final_obs": observations[k].copy(), "final_info": info}, k)
                 self._task.reset_stage(k, {})
-                info = self._task.reset_info(k)
+                info = self._task.make_reset_info(k)
             merged = self._add_info(merged, info, k)
         return merged
 

@@ -31,7 +31,7 @@ from stage.envs.observation_features import TRUTH, Feature
 from stage.native import record
 from stage.support import portable_math
 
-DIVERGED = -10.0  # reward of a step in which the simulation diverged
+DIVERGENCE_REWARD = -10.0  # reward of a step in which the simulation diverged
 CAUSES = ("", "diverged")  # causes of an end that the task does not define, by their index in a record
 SCORE = record(
     [("success", "?"), ("time", "f8"), ("regret", "f8"), ("moves", "i8"), ("lost_steps", "i8"), ("limits", "i8")]
@@ -40,7 +40,7 @@ SCORE_FEATURE = Feature(
     "score", TRUTH, "only at the end of an episode: success, time, regret, moves, lost_steps, limits"
 )
 _STRUCT_FORMATS = {"|b1": "?", "|i1": "b", "<i8": "q", "<f8": "d"}
-FAILED = (False, np.inf, np.inf)
+FAILED_EPISODE_SCORE = (False, np.inf, np.inf)
 """Success, time and regret of an episode without success."""
 
 
@@ -80,7 +80,7 @@ def write_scores(rows: np.ndarray, time: Any, formula: Any, moves: Any, lost_ste
     rows["moves"], rows["lost_steps"], rows["limits"] = moves, lost_steps, limits
 
 
-class Results:
+class StepResults:
     """Results of the last step of n stages, one record for each.
 
     Args:
@@ -101,7 +101,7 @@ class Results:
         self._bytes = self.rows.view(np.uint8)
 
     def __reduce__(self) -> tuple:
-        return Results, (len(self.rows), self.rows.dtype, self._hidden), self.rows
+        return StepResults, (len(self.rows), self.rows.dtype, self._hidden), self.rows
 
     def __setstate__(self, rows: np.ndarray) -> None:
         self.rows[...] = rows
@@ -113,7 +113,7 @@ class Results:
     def __setitem__(self, name: str, values: Any) -> None:
         self.rows[name] = values
 
-    def finish(self, bad: np.ndarray) -> None:
+    def compute_rewards(self, bad: np.ndarray) -> None:
         """Sum up the parts of the rewards, and end the episodes of stages whose simulation diverged.
 
         Args:
@@ -124,11 +124,11 @@ class Results:
         for name in self._parts:
             parts[name][bad] = 0.0
             rows["reward"] += parts[name]
-        rows["reward"][bad] = DIVERGED
+        rows["reward"][bad] = DIVERGENCE_REWARD
         rows["terminated"] &= ~bad
         rows["truncated"] |= bad
         if self.scored:
-            for name, value in zip(("success", "time", "regret"), FAILED, strict=True):
+            for name, value in zip(("success", "time", "regret"), FAILED_EPISODE_SCORE, strict=True):
                 rows["score"][name][bad] = value
 
     def read_row(self, stage_index: int) -> tuple[float, bool, bool, dict[str, Any]]:

@@ -37,11 +37,11 @@ import numpy as np
 from stage import Stage
 from stage.envs import machine_contexts, synchronized_move
 from stage.envs.hidden_machine_task import MachineSettings, MachineTask
-from stage.envs.move_trials import TENTH_MM, compute_move_time
+from stage.envs.move_trials import DISPLACEMENT_SCALE_M, compute_move_time
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.settings import (
     AxisName,
-    Counts,
+    CountRange,
     NumberOrRangeSetting,
     NumberSetting,
     Pair,
@@ -61,7 +61,7 @@ from stage.sim.program import MEASURE
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
 
-CORRECTIONS = 6  # numbers of an action for each axis
+CORRECTIONS_PER_AXIS = 6  # numbers of an action for each axis
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Config(MachineSettings, synchronized_move.Config):
         damage_weight: Cost of a move that loses a step or does not make all its pulses.
     """
 
-    distances: Counts = (1_600, 12_000)
+    distances: CountRange = (1_600, 12_000)
     rate: Annotated[float | Pair, NumberOrRangeSetting(further_condition=", not below fl")] = (
         2_000.0,
         60_000.0,
@@ -113,14 +113,17 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     """Rules of stage/SynchronizedLine-v1. The module docstring states them."""
 
     Config: ClassVar[type] = Config
-    OPTIONS = ("distances", *machine_contexts.OPTIONS)
+    OPTIONS = ("distances", *machine_contexts.RESET_OPTION_NAMES)
     """Options of a reset, which replace drawn values of the line and the machine."""
     PARTS = ("gain", "damage", "proof")
     STATE = ("distances", "rate", "ramp", "context", "angles", "formula")
-    OBSERVATION: ClassVar[tuple[Feature, ...]] = (*SynchronizedMove.OBSERVATION[1:6], *machine_contexts.OBSERVATION)
+    OBSERVATION: ClassVar[tuple[Feature, ...]] = (
+        *SynchronizedMove.OBSERVATION[1:6],
+        *machine_contexts.OBSERVATION_FEATURES,
+    )
     INFO: ClassVar[tuple[Feature, ...]] = (
         Feature("distances", HOST, "pulses of each axis", kind=int),
-        *machine_contexts.INFO,
+        *machine_contexts.INFO_FEATURES,
         Feature("rate", HOST, "pps of the longest axis, of the action", kind=float),
         Feature("ramp", HOST, "s, of the action", kind=float),
         Feature("registers", HOST, "registers computed from these and the corrections", kind=int),
@@ -142,9 +145,9 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         super().make_spaces_and_arrays()
         m = len(self.axes)
         self.judged, self.point = find_judged_point(first, c.axes[0], c.judge_at)
-        self.prepare_machines()
+        self.read_nominal_machines()
         self.loads = [Load.from_axis(a) for a in self.axes]
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS * m,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS_PER_AXIS * m,), np.float32)
         self.observation_space = self.make_observation_space()
         self.angles = np.zeros((n, m))
         self.ramp, self.formula = np.full(n, 0.1), np.ones((n, 3))
@@ -181,7 +184,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
             extra_payload_kg: Mass beyond the payload, kg.
         """
         stage.restore(self.start)
-        self.configure_stage(stage, stage_index, extra_payload_kg)
+        self.apply_machine_to(stage, stage_index, extra_payload_kg)
         begin = zip(
             self.axes,
             self.start_positions,
@@ -223,7 +226,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
         rows, columns = self.line.shape
-        wanted = actions[:, 2:].astype(np.float64).reshape(len(actions), len(self.axes), CORRECTIONS)
+        wanted = actions[:, 2:].astype(np.float64).reshape(len(actions), len(self.axes), CORRECTIONS_PER_AXIS)
         return self.line.apply_corrections(self.requested_lines, wanted[:, :rows, :columns])
 
     def make_action(self, rate: Any, ramp: Any) -> np.ndarray:
@@ -264,11 +267,11 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         t, usual = truth[:, self.index], self.usual_times_s
         lost, finished = t["lost_steps"], self._find_finished_moves(t)
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
-        off_line, vibration = self._measure_carriages(played.results), played.results[:, -1] * 1e-12
+        off_line, vibration = self._measure_carriage_deviations(played.results), played.results[:, -1] * 1e-12
         good = self.undiverged_stages
         in_step = finished & (lost == 0).all(axis=1) & good
         cost = duration + c.path_weight * deviation
-        cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / TENTH_MM
+        cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / DISPLACEMENT_SCALE_M
         cost = np.where(in_step, cost, np.inf)
         proved = np.where(self._prove_moves(in_step), cost, np.inf)
         gain = self._compute_value(cost)

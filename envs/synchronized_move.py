@@ -65,7 +65,7 @@ from stage.sim.program import SAMPLE_POSITION, WAIT
 from stage.support import portable_math
 
 ACTIONS = ("corrections", "box", "registers")
-TENTH_MM = 1e-4  # m
+DISPLACEMENT_SCALE_M = 1e-4  # m
 
 
 @dataclass(frozen=True)
@@ -102,27 +102,27 @@ class Config(settings.Settings):
     chip: str | type[Chip] = "PCL240K"
     axes: Annotated[tuple[str, ...], settings.NamesSetting(2)] = ("x", "y")
     actions: Annotated[str, settings.ChoiceSetting(ACTIONS)] = "corrections"
-    distances: settings.Counts = (4_000, 20_000)
+    distances: settings.CountRange = (4_000, 20_000)
     rate: Annotated[float | settings.Pair, settings.NumberOrRangeSetting(further_condition=", not below fl")] = (
         8_000.0,
         32_000.0,
     )
-    fl: settings.Positive = 1_000.0
+    fl: settings.PositiveNumber = 1_000.0
     accel: settings.Seconds = 0.1
-    s_curve: settings.Flag = False
-    reach: settings.Positive = 4.0
+    s_curve: settings.Boolean = False
+    reach: settings.PositiveNumber = 4.0
     multiplier_reach: Annotated[int, settings.NumberSetting(integer=True)] = 1
     moves: settings.Count = 1
     limit: settings.Seconds = 4.0
     settle: settings.Seconds = 0.05
     looks: settings.Count = 100
-    far: settings.Positive = 20.0
+    far: settings.PositiveNumber = 20.0
     path_weight: settings.Weight = 1.0
     carriage_weight: settings.Weight = 1.0
     time_weight: settings.Weight = 1.0
     lost_weight: settings.Weight = 10.0
     limit_weight: settings.Weight = 10.0
-    bus_cycle: settings.Cycle = 1e-6
+    bus_cycle: settings.BusCycleSeconds = 1e-6
     truth: settings.TruthOption = True
 
     def __post_init__(self) -> None:
@@ -331,10 +331,10 @@ class SynchronizedMove(MoveTask[Config]):
         finished = ((moved_pulses == self.distances) & (t["busy"] == 0)).all(axis=1)
         lost = t["lost_steps"] - self._truth_at_start["lost_steps"]
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
-        off_line = self._measure_carriages(played.results)
+        off_line = self._measure_carriage_deviations(played.results)
         parts = {
             "path": -c.path_weight * np.minimum(deviation, c.far),
-            "carriages": -c.carriage_weight * np.minimum(off_line / TENTH_MM, 10.0),
+            "carriages": -c.carriage_weight * np.minimum(off_line / DISPLACEMENT_SCALE_M, 10.0),
             "time": -c.time_weight * duration,
             "lost": np.where((lost != 0).any(axis=1), -c.lost_weight, 0.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
@@ -344,12 +344,17 @@ class SynchronizedMove(MoveTask[Config]):
             "finished": finished, "distances": self.distances, "rate": self.rate,
             "registers": self.to_registers(self.actions),
         }  # fmt: skip
-        now = [np.minimum(deviation / c.far, 1.0), off_line / (off_line + TENTH_MM), duration / c.limit, finished * 1.0]
+        now = [
+            np.minimum(deviation / c.far, 1.0),
+            off_line / (off_line + DISPLACEMENT_SCALE_M),
+            duration / c.limit,
+            finished * 1.0,
+        ]
         good, over = self.undiverged_stages, self.steps >= c.moves
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), 0.0, 1.0)[good]
         self.set_results(parts, info, over | ~finished, False)
 
-    def _measure_carriages(self, results: np.ndarray) -> np.ndarray:
+    def _measure_carriage_deviations(self, results: np.ndarray) -> np.ndarray:
         """Return the largest distance between the carriages and their line in each move, m, (stages,).
 
         Args:

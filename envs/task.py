@@ -13,9 +13,9 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.envs.observation_features import Feature, list_hidden, list_visible
+from stage.envs.observation_features import Feature, list_hidden_names, list_visibility
 from stage.envs.settings import UnknownSetting
-from stage.envs.step_results import Results, make_step_result_dtype
+from stage.envs.step_results import StepResults, make_step_result_dtype
 from stage.errors import ArgumentError, unknown_name_error
 from stage.sim.fleet import Fleet, PlayedPrograms
 from stage.sim.program import Program
@@ -43,7 +43,7 @@ class Task(ABC, Generic[ConfigT]):
         actions: Actions of the next step, (n, ...).
         active: Mask of the stages that take part in the next step, (n,).
         steps: Number of steps of each episode so far, (n,).
-        results: Results of the last step; those of stages that are not active are not valid.
+        results: StepResults of the last step; those of stages that are not active are not valid.
         observations: Observations, (n, ...). A stage that diverged keeps its last one.
         first_observation: Row of the first stage.
     """
@@ -81,8 +81,8 @@ class Task(ABC, Generic[ConfigT]):
         self.make_spaces_and_arrays()
         self.actions = np.zeros((n, *self.action_space.shape), self.action_space.dtype)  # type: ignore[misc]
         self.observations = np.zeros((n, *self.observation_space.shape), self.observation_space.dtype)  # type: ignore[misc]
-        self.hidden = list_hidden(self.INFO, self.truth)
-        self.results = Results(n, make_step_result_dtype(self.PARTS, self.INFO, self.shapes), self.hidden)
+        self.hidden = list_hidden_names(self.INFO, self.truth)
+        self.results = StepResults(n, make_step_result_dtype(self.PARTS, self.INFO, self.shapes), self.hidden)
         self.bind_arrays()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -161,9 +161,9 @@ class Task(ABC, Generic[ConfigT]):
     def observation_features(self) -> list[Feature]:
         """Features of the observation under the setting `truth`, one for each number."""
         every = self.list_all_features()
-        return [e for e, shown in zip(every, list_visible(every, self.truth), strict=True) if shown]
+        return [e for e, shown in zip(every, list_visibility(every, self.truth), strict=True) if shown]
 
-    def reset_info(self, stage_index: int) -> dict[str, Any]:
+    def make_reset_info(self, stage_index: int) -> dict[str, Any]:
         """Return the info of a reset of a stage, without the values that the setting `truth` hides."""
         return {name: value for name, value in self.describe_episode(stage_index).items() if name not in self.hidden}
 
@@ -243,7 +243,7 @@ class MoveTask(Task[ConfigT]):
         """Judge the step that was just played: set the parts of the reward, the info, terminated and truncated.
 
         Args:
-            played: Results of the programs.
+            played: StepResults of the programs.
             truth: True state of each axis after its program, (n, axes).
         """
 
@@ -253,7 +253,7 @@ class MoveTask(Task[ConfigT]):
 
     def make_observation_space(self) -> gymnasium.spaces.Box:
         """Make the observation space for the numbers that the setting `truth` leaves visible."""
-        self.visible = np.array(list_visible(self.list_all_features(), self.truth))
+        self.visible = np.array(list_visibility(self.list_all_features(), self.truth))
         return gymnasium.spaces.Box(-1.0, 1.0, (int(self.visible.sum()),), np.float32)
 
     def play_actions(self) -> None:
@@ -269,7 +269,7 @@ class MoveTask(Task[ConfigT]):
         self.results["cause"] = bad
         with np.errstate(invalid="ignore", over="ignore"):
             self.judge(played, self.fleet.truth())
-        self.results.finish(bad)
+        self.results.compute_rewards(bad)
 
     def update_observations(self) -> None:
         fine = self.results["cause"] == 0

@@ -19,8 +19,8 @@ from stage.chips import Chip
 from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.register_scaling import RegisterBox
-from stage.envs.scaling import scale, scale_log
-from stage.envs.settings import read_option
+from stage.envs.scaling import scale_linear, scale_log
+from stage.envs.settings import read_number_option
 from stage.envs.task import MoveTask
 from stage.errors import unknown_name_error
 from stage.sim.payload_and_judged_point import find_payload_body
@@ -29,14 +29,14 @@ from stage.support import portable_math
 
 ConfigT = TypeVar("ConfigT")
 
-NEXT_MOVE = (
+NEXT_MOVE_FEATURES = (
     Feature("distance", HOST, "distance of the next move, by its logarithm from -1 to 1 over `distances`"),
     Feature("payload", TRUTH, "payload of the next move, from -1 to 1 over `payloads`"),
 )
 """Features of an observation that describe the next move."""
 
 
-def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
+def make_move_info_features(unit: str, turn: str) -> tuple[Feature, ...]:
     """Describe the features of a drawn move in an info.
 
     Args:
@@ -87,7 +87,7 @@ class TuningTask(MoveTask[ConfigT]):
             distance: Distance of the move, pulses, or counts for a servo.
         """
 
-    def prepare_after_placing(self, stage_index: int) -> None:
+    def prepare_placed_move(self, stage_index: int) -> None:
         """Prepare a stage's next move after its carriage was put at the start. The base class does nothing."""
 
     def make_stage(self, visuals: bool) -> Stage:
@@ -138,7 +138,7 @@ class TuningTask(MoveTask[ConfigT]):
         """
         c: Any = self.config
         drawn = int(np.rint(portable_math.exp(self.rngs[stage_index].uniform(*portable_math.log(c.distances)))))
-        return int(read_option(options, "distance", drawn, c.distances))
+        return int(read_number_option(options, "distance", drawn, c.distances))
 
     def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
         """Draw the distance, the payload and the rotor's angle of a stage's next move, and put the carriage at its start.
@@ -150,15 +150,15 @@ class TuningTask(MoveTask[ConfigT]):
         c: Any = self.config
         rng, stage = self.rngs[stage_index], self.stages[stage_index]
         distance = self.draw_distance(stage_index, options)
-        self.payload[stage_index] = read_option(options, "payload", float(rng.uniform(*c.payloads)), c.payloads)
+        self.payload[stage_index] = read_number_option(options, "payload", float(rng.uniform(*c.payloads)), c.payloads)
         self.distance[stage_index] = distance
-        self.angle[stage_index] = read_option(options, "angle", float(rng.uniform()), (0.0, 1.0))
+        self.angle[stage_index] = read_number_option(options, "angle", float(rng.uniform()), (0.0, 1.0))
         stage.restore(self.start)
         self.apply_machine(stage_index)
         stage.place(
             **{c.axis: self.starts.find_start(float(self.distance[stage_index]), float(self.angle[stage_index]))}
         )
-        self.prepare_after_placing(stage_index)
+        self.prepare_placed_move(stage_index)
 
     def apply_machine(self, stage_index: int) -> None:
         self.stages[stage_index].set_payload(float(self.payload[stage_index]), self.carrier)
@@ -195,5 +195,7 @@ class TuningTask(MoveTask[ConfigT]):
 
     def compute_observations(self) -> np.ndarray:
         c: Any = self.config
-        drawn = np.stack([scale_log(np.abs(self.distance), c.distances), scale(self.payload, c.payloads)], axis=1)
+        drawn = np.stack(
+            [scale_log(np.abs(self.distance), c.distances), scale_linear(self.payload, c.payloads)], axis=1
+        )
         return np.clip(np.concatenate([drawn, self.last], axis=1), -1.0, 1.0).astype(np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, PCL240K
 from stage.firmware.driver import get_driver
-from stage.sim.gpu.gpu_fleet import STEPS_A_LAUNCH, GpuFleet
+from stage.sim.gpu.gpu_fleet import STEPS_PER_LAUNCH, GpuFleet
 
 DIFFERENT = 256
 """Random programs; the copies play them in turn."""
@@ -68,7 +68,7 @@ def measure_row(stage: Stage, programs: np.ndarray, copies: int) -> str:
     physics = fleet.physics
 
     def steps() -> None:
-        for _ in range(STEPS_A_LAUNCH):
+        for _ in range(STEPS_PER_LAUNCH):
             physics.step()
 
     graph = physics.capture_graph(steps)
@@ -93,7 +93,7 @@ def measure_step_time(launch: Callable[[], object]) -> float:
     """Return the seconds that a physics step takes."""
     launch()
     begin = time.perf_counter()
-    for _ in range(STEPS // STEPS_A_LAUNCH):
+    for _ in range(STEPS // STEPS_PER_LAUNCH):
         launch()
     return (time.perf_counter() - begin) / STEPS
 

@@ -16,7 +16,7 @@ import numpy as np
 from stage import Stage
 from stage.chips import MCX514
 from stage.firmware.nova.home_search import HomeSearchReport, home_search
-from stage.firmware.nova.path_interpolation import ArcSegment, HelixSegment, LineSegment, PathSpeed, draw_path
+from stage.firmware.nova.path_interpolation import ArcSegment, HelixSegment, LineSegment, PathSpeed, move_along_path
 from stage.support.plot_style import GRID_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 MM = 320  # pulses
@@ -80,7 +80,7 @@ def run_demonstration() -> Run:
         name: str, *segments: LineSegment | ArcSegment | HelixSegment, axes: Any = (x, y), speed: PathSpeed = FINE
     ) -> None:
         begin = machine.time
-        print(f"{name}: {draw_path(segments, *axes, speed=speed)}")
+        print(f"{name}: {move_along_path(segments, *axes, speed=speed)}")
         parts[name] = begin, machine.time
         machine.run(0.1)
 

@@ -7,7 +7,7 @@ import mujoco
 
 from stage.cli.view import draw_model
 from stage.sim import plant
-from stage.sim.plant.new_model import NewAxis, new_model
+from stage.sim.plant.new_model import NewAxis, build_model_text
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--camera", default="overview", help="overview, front, top or switches")
@@ -23,5 +23,5 @@ for name in plant.list_model_names():
 if args.camera == "overview":
     axes = [NewAxis.parse("x:slide:200mm"), NewAxis.parse("a:hinge:360deg")]  # of docs/tutorials/first_stage.md
     path = args.out / "new_model.png"
-    draw_model(mujoco.MjModel.from_xml_string(new_model(axes)), str(path), None, True)
+    draw_model(mujoco.MjModel.from_xml_string(build_model_text(axes)), str(path), None, True)
     print(path)

@@ -25,7 +25,7 @@ from matplotlib.patches import Rectangle
 
 from stage import Stage, firmware
 from stage.chips import PCL240MS
-from stage.drives.dynamometer import compute_closed_form
+from stage.drives.dynamometer import compute_closed_form_torque
 from stage.drives.motors import MOTORS
 from stage.firmware import Profile, Report
 from stage.support.plot_style import FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
@@ -417,7 +417,7 @@ def draw_the_thrust(ax: Any) -> None:
 
     def pull_out(rate: np.ndarray, volts: float) -> np.ndarray:
         rpm = rate / x.drive.pulses_per_turn * 60
-        return compute_closed_form(x.drive.motor, volts * x.drive.bus_voltage, x.drive.amplitude, rpm) * x.gear
+        return compute_closed_form_torque(x.drive.motor, volts * x.drive.bus_voltage, x.drive.amplitude, rpm) * x.gear
 
     rates = HARD_RATE * np.linspace(1e-3, 1.15, 600)
     ax.fill_between(rates / 1e3, pull_out(rates, 1), pull_out(rates, 4 / np.pi), color="#d5dbe1", lw=0)

@@ -105,8 +105,8 @@ def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str
     at, zero = port.read_command_position(), round(axis.commanded / axis.meters_per_pulse)
     with machine.record(every=STEP) as recording:
         while port.chip.read(maps.TIMER) < port.t // 2:  # the profile begins with the next sample
-            machine.run(port.count)
-        first = machine.time + (port.chip.read(maps.TIMER) + 0.5) * port.count
+            machine.run(port.timer_count_s)
+        first = machine.time + (port.chip.read(maps.TIMER) + 0.5) * port.timer_count_s
         report = move_by_trapezoid(port, counts, velocity=VELOCITY, acceleration=ACCELERATION)
         machine.run(0.1)
     columns = recording.columns
@@ -129,10 +129,10 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     at = port.read_command_position()
     with machine.record(every=STEP) as recording:
         for k in range(1, LINE + 1):
-            machine.run((port.chip.read(maps.TIMER) + 2) * port.count)  # the next sample has begun
+            machine.run((port.chip.read(maps.TIMER) + 2) * port.timer_count_s)  # the next sample has begun
             if not early:
-                port.wait_for_safe_part()
-            port.write_numbers(command_position=at + SLOW * k)
+                port.wait_for_safe_part_of_sample()
+            port.write_quantities(command_position=at + SLOW * k)
     c = recording.columns
     error = (c["x/commanded"] - c["x/position"]) / axis.meters_per_pulse
     return c["time"] - c["time"][0], error

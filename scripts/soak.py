@@ -103,7 +103,7 @@ class Move:
         self.start = (
             chip_port.START["FH2" if fh2 else "FH1"]
             if self.kind == "constant"
-            else chip_port.RAMP["FH2" if fh2 else "FH1"]
+            else chip_port.RAMP_START_COMMANDS["FH2" if fh2 else "FH1"]
         )
         if self.kind == "dual":
             point = max(
@@ -126,7 +126,7 @@ class Move:
         """List (seconds after the start, commands) of what the host writes while the axis moves."""
         slow = chip_port.SLOW_DOWN["FH2" if self.fh2 else "FH1"]
         if self.kind == "dual":
-            return [(self.when, chip_port.RAMP["FH1" if self.fh2 else "FH2"])]
+            return [(self.when, chip_port.RAMP_START_COMMANDS["FH1" if self.fh2 else "FH2"])]
         if self.kind in ("stop", "go on", "continuous"):
             return [(self.when, slow)]
         return []

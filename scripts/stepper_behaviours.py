@@ -12,18 +12,18 @@ from matplotlib.figure import Figure
 
 from stage.drives.dynamometer import (
     SLICE_S,
-    compute_closed_form,
+    compute_closed_form_torque,
     compute_load_angle,
     compute_mean_counts,
     compute_natural_frequency,
-    compute_voltage_and_current_bound,
+    compute_torque_bound,
     count_lost_steps,
     count_slices,
     count_steps_lost_in_start,
     find_pull_in_rate,
+    measure_swing_frequency,
     simulate_motor,
     simulate_pull_out,
-    simulate_ring_down,
     sweep_resonance,
 )  # fmt: skip
 from stage.drives.motors import MOTORS, Drive
@@ -42,15 +42,19 @@ def pull_out_follows_the_closed_form(ax):
     spec = np.array([300, 900, 1200, 1500, 2000])
     sine = replace(SMOOTH, mode="sine", microsteps=256)
     print("1. pull-out torque, N m, 17HS4401, 24 V, 1.7 A, no detent")
-    columns = compute_closed_form(MOTOR, 24, 1.7, spec), simulate_pull_out(sine, spec), simulate_pull_out(SMOOTH, spec)
+    columns = (
+        compute_closed_form_torque(MOTOR, 24, 1.7, spec),
+        simulate_pull_out(sine, spec),
+        simulate_pull_out(SMOOTH, spec),
+    )
     for rpm, ideal, sine, chopper in zip(spec, *columns, strict=True):
         ratios = f"sine / closed form {sine / ideal:.4f}, chopper / closed form {chopper / ideal:.3f}"
         print(f"   {rpm:5} rpm: closed form {ideal:.3f}, sine {sine:.3f}, chopper {chopper:.3f}; {ratios}")
     rpm = np.r_[50, 150:700:110, 700:1000:20, 1000:2401:100]
-    chopper, ideal = simulate_pull_out(SMOOTH, rpm), compute_closed_form(MOTOR, 24, 1.7, rpm)
+    chopper, ideal = simulate_pull_out(SMOOTH, rpm), compute_closed_form_torque(MOTOR, 24, 1.7, rpm)
     saturated, both = (
-        compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, rpm),
-        compute_voltage_and_current_bound(MOTOR, 24, 1.7, rpm),
+        compute_closed_form_torque(MOTOR, 4 / np.pi * 24, 1.7, rpm),
+        compute_torque_bound(MOTOR, 24, 1.7, rpm),
     )
     low, out = np.argmin(chopper / ideal), rpm[chopper < ideal * 0.99]
     print(f"   chopper / closed form at V: {chopper[low] / ideal[low]:.3f} at {rpm[low]} rpm, the least;", end=" ")
@@ -61,11 +65,11 @@ def pull_out_follows_the_closed_form(ax):
     )
     fine = np.linspace(1, 2400, 400)
     at_v, at_fundamental = (
-        compute_closed_form(MOTOR, 24, 1.7, fine),
-        compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine),
+        compute_closed_form_torque(MOTOR, 24, 1.7, fine),
+        compute_closed_form_torque(MOTOR, 4 / np.pi * 24, 1.7, fine),
     )
     ax.fill_between(fine, at_v, at_fundamental, color="#cfe0f2", lw=0)
-    ax.plot(fine, compute_voltage_and_current_bound(MOTOR, 24, 1.7, fine), color=MUTED_COLOR, lw=1, ls=":")
+    ax.plot(fine, compute_torque_bound(MOTOR, 24, 1.7, fine), color=MUTED_COLOR, lw=1, ls=":")
     ax.plot(rpm, chopper, color=BLUE, lw=2)
     ax.plot(spec, columns[1], "o", color=TEXT_COLOR, ms=4)
     ax.text(1480, 0.235, "closed form, V to 4/π V", color=MUTED_COLOR, fontsize=8)
@@ -83,7 +87,7 @@ def the_rotor_rings_at_its_natural_frequency(ax):
         ("on a half step", DRIVE, DRIVE.microsteps // 2),
     ):
         simulated, formula = (
-            simulate_ring_down(drive, ROTOR, microstep),
+            measure_swing_frequency(drive, ROTOR, microstep),
             compute_natural_frequency(drive, ROTOR, microstep > 0),
         )
         print(f"   {label}: {simulated:.1f} ({formula:.1f})")
@@ -91,7 +95,7 @@ def the_rotor_rings_at_its_natural_frequency(ax):
         swing = simulate_motor(
             DRIVE, np.zeros(count_slices(0.03)), times * ROTOR, start_angle=0.1 * STEP, frame_damping=5e-4
         )
-        hz = simulate_ring_down(DRIVE, times * ROTOR)
+        hz = measure_swing_frequency(DRIVE, times * ROTOR)
         label = "bare rotor" if times == 1 else f"{times} rotors"
         ax.plot(
             np.arange(len(swing)) * SLICE_S * 1e3, swing["theta"] / STEP, color=color, label=f"{label}: {hz:.0f} Hz"
@@ -123,7 +127,7 @@ def full_steps_lose_torque_at_resonance(ax):
         sweep = sweep_resonance(Drive(MOTOR, 1), rates, damping_ratio=ratio)
         dead = [round(rate) for rate in sweep.rate[sweep.torque == 0]]
         print(f"   full steps, damped by {ratio:.0%} of critical: falls out unloaded at {dead or 'no rate'}")
-    natural = simulate_ring_down(SMOOTH, ROTOR)
+    natural = measure_swing_frequency(SMOOTH, ROTOR)
     ax.axvline(natural, color=RED, lw=1, ls=(0, (4, 3)))
     ax.text(natural * 1.06, 0.1, f"natural\nfrequency,\n{natural:.0f} Hz", color=RED, fontsize=8)
     ax.legend(frameon=False, fontsize=8, loc="lower right")

@@ -16,7 +16,7 @@ from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.path_deviation import compute_path_deviation
-from stage.firmware.pcl240.emulated_preset_move import trace_row
+from stage.firmware.pcl240.emulated_preset_move import trace_preset_move
 from stage.firmware.pcl240.preset_move_closed_form import compute_ramp_stretch, set_s_curve_registers
 
 DELAYS = (1e-6, 1e-5, 1e-4)
@@ -76,7 +76,7 @@ def compute_common_multiplier_deviation(moves, line_plan):
         )
         down = (high + low) * gain * row[5] / (16384 * r7)
         row[6] = min(int(down) + max(1, round(5 * ratio)), abs(axis.distance))
-        pulses.append((trace_row(row, axis.chip), 1))
+        pulses.append((trace_preset_move(row, axis.chip), 1))
     return compute_path_deviation(pulses, [abs(a.distance) for a in line_plan.axes.values()]).pulses
 
 

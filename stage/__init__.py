@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_LAZY = {
+_LAZY_EXPORTS = {
     "Stage": "stage.sim.stage",
     "Snapshot": "stage.sim.stage",
     "SnapshotError": "stage.support.snapshot_files",
@@ -53,8 +53,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return _load_module(_MODULES[name])
-    if name in _LAZY:
-        return getattr(_load_module(_LAZY[name]), name)
+    if name in _LAZY_EXPORTS:
+        return getattr(_load_module(_LAZY_EXPORTS[name]), name)
     raise AttributeError(f"module 'stage' has no attribute {name!r}")
 
 

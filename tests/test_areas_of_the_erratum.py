@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage.cli.erratum_picture import _find_areas as _areas
+from stage.cli.erratum_plot import _find_areas as _areas
 
 PINS = {"asnd": "01100000", "cnst": "00010001", "dsnd": "00001100"}
 

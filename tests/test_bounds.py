@@ -16,7 +16,7 @@ from stage.firmware import Bench, Profile
 from stage.firmware.axis import check_seconds
 from stage.firmware.hctl1100 import position_streaming as servo_profile
 from stage.firmware.pcl240.line_plan import MAX_R0, _check_distance, _check_rates_and_times, _get_curve_share
-from stage.firmware.pcl240.moves import encode_offset
+from stage.firmware.pcl240.moves import encode_ramp_down_offset
 from stage.recording.rerun_viewer import make_web_server
 from stage.sim import engine_records, faults
 from stage.sim.fleet import MAX_TIME_NS, Fleet
@@ -74,7 +74,8 @@ BOUNDS = {
     "ramp of a line": (lambda v: check({"decel": v}), (1e-9,), (0, math.inf)),
     "delay of a line": (lambda v: check({"bus_delay": v}), (0, 1), (-1e-9, 1.01)),
     "R6 as an offset": (
-        lambda v: encode_offset(Profile.of(chip=PCL240MK), v), (-(1 << 19), (1 << 19) - 1), (-(1 << 19) - 1, 1 << 19, 0.5),
+        lambda v: encode_ramp_down_offset(Profile.of(chip=PCL240MK), v), (-(1 << 19), (1 << 19) - 1),
+        (-(1 << 19) - 1, 1 << 19, 0.5),
     ),
     "ramp of a circle": (lambda v: servo_profile.compute_circle_positions(
         9, seconds=0.4, sample=1e-2, ramp=v), (1e-3, 0.2), (0, 0.21)),
@@ -175,6 +176,6 @@ def test_time_of_a_stage_is_rounded_to_a_nanosecond(stage):
     stage.run(1.6e-9)
     assert stage.now == 2
     stage.step(1)
-    assert stage.now == round(stage.model.opt.timestep * engine_records.SECOND), (
+    assert stage.now == round(stage.model.opt.timestep * engine_records.NS_PER_SECOND), (
         "a step goes to the end of the one that has begun"
     )

@@ -358,5 +358,7 @@ def test_a_demo_keeps_to_the_travel_of_each_axis():
             )
             for share in (demo.LONG, demo.SHORT, demo.LINE_FIRST, demo.LINE_SECOND):
                 for one in (axis, other):  # whichever way the screw turns
-                    end = one.position + demo.find_pulses(one, share) * one.meters_per_pulse * np.sign(one.gear)
+                    end = one.position + demo.convert_share_to_pulses(one, share) * one.meters_per_pulse * np.sign(
+                        one.gear
+                    )
                     assert low < end < high

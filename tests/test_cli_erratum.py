@@ -8,7 +8,7 @@ from support.extras import needs_rerun
 from support.pages import agree
 
 from stage.chips.journal_entries import WRITE
-from stage.cli import erratum, erratum_picture, main
+from stage.cli import erratum, erratum_plot, main
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "erratum.md"
 
@@ -90,9 +90,9 @@ def test_corrected_chips_end_on_target_with_both_commands(work_folder, once, cap
 def test_it_draws_itself_and_records_both_runs(work_folder, capsys, monkeypatch, vcd):
     monkeypatch.setattr(erratum, "OBSERVATION_S", 1.0)
     drawn = []
-    draw = erratum_picture.draw_erratum_plot
+    draw = erratum_plot.draw_erratum_plot
     monkeypatch.setattr(
-        erratum_picture,
+        erratum_plot,
         "draw_erratum_plot",
         lambda result, *args: drawn.append((result, draw(result, *args))) or drawn[0][1],
     )

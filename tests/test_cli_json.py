@@ -11,7 +11,7 @@ from support.extras import needs_rerun
 
 from stage.cli import build_parser, main
 from stage.cli.command_interface import to_json, warn
-from stage.cli.package_commands import KNOWN_PACKAGES
+from stage.cli.package_commands import PACKAGE_BY_COMMAND
 
 CHECKS = {
     "home": (["home", "x"], lambda f: f["reports"][0]["stopped_by"] == "ORG"),
@@ -48,7 +48,7 @@ def print_json(capsys, *argv, code=0):
 
 def test_every_command_but_those_that_print_text_has_json():
     (commands,) = (a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
-    parsers = {name: p for name, p in commands.choices.items() if name not in KNOWN_PACKAGES}
+    parsers = {name: p for name, p in commands.choices.items() if name not in PACKAGE_BY_COMMAND}
     has = {name for name, p in parsers.items() if "--json" in p._option_string_actions}
     assert parsers.keys() - has == TEXT_ALONE
     assert has == {*CHECKS, *LONG, *ELSEWHERE}, "who has it is tried here"

@@ -18,7 +18,7 @@ from stage.chips.write_diagnostics import Cause, Diagnostic
 from stage.cli import build_parser, demo, home, listing, main, move, output_and_progress, output_files, stage_setup
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
-from stage.cli.options import NumberWithUnit
+from stage.cli.options import QuantityParser
 from stage.cli.run import print_report
 from stage.firmware.driver import Speeds, get_default_speeds, get_driver
 from stage.recording import rerun_viewer
@@ -53,7 +53,7 @@ def test_each_help_text_states_the_actual_default():
             match = re.search(r"\(default: ([\w.,-]+)\)", action.help or "")
             if (
                 match
-                and (action.type in (int, float) or isinstance(action.type, NumberWithUnit))
+                and (action.type in (int, float) or isinstance(action.type, QuantityParser))
                 and action.dest != "start"
             ):
                 checked += 1
@@ -413,7 +413,7 @@ def test_what_ends_a_command_is_its_exit_code(monkeypatch, capsys, raised, code,
     def end(args):
         raise raised
 
-    monkeypatch.setattr(listing, "list_registers", end)
+    monkeypatch.setattr(listing, "print_registers", end)
     assert main(["registers", "pcl240k"]) == code
     assert capsys.readouterr().err == says
 

@@ -8,7 +8,7 @@ from support.mirrored import mirrored
 
 from stage.chips import PCL240K
 from stage.cli import build_parser, main, package_commands
-from stage.cli.options import FREQUENCY, HERTZ, MASS, RATE, TIME, VOLTAGE
+from stage.cli.options import FREQUENCY, INTEGER_FREQUENCY, MASS, RATE, TIME, VOLTAGE
 from stage.units import explain_number_error, identify_unit
 
 
@@ -17,7 +17,8 @@ from stage.units import explain_number_error, identify_unit
     [
         (RATE, "1000pps", 1000), (RATE, "1.5kpps", 1500), (RATE, "1e3", 1000), (TIME, " -5", -5), (TIME, "100ms", 0.1),
         (TIME, "1us", 1e-6), (TIME, "2 s", 2), (TIME, "0.5", 0.5), (TIME, "2min", 120), (VOLTAGE, "24V", 24), (MASS, "2kg", 2),
-        (MASS, "500g", 0.5), (FREQUENCY, "16MHz", 16e6), (HERTZ, "4.9152MHz", 4_915_200), (HERTZ, "0x10", 16),
+        (MASS, "500g", 0.5), (FREQUENCY, "16MHz", 16e6), (INTEGER_FREQUENCY, "4.9152MHz", 4_915_200),
+        (INTEGER_FREQUENCY, "0x10", 16),
     ],
 )  # fmt: skip
 def test_a_quantity_is_parsed_with_and_without_its_unit(kind, text, value):
@@ -44,9 +45,9 @@ def test_a_quantity_is_parsed_with_and_without_its_unit(kind, text, value):
             "'2,5kg' is not a mass. Use a decimal point: 2.5kg. Give a number, alone or with a unit: g, kg.",
         ),
         (VOLTAGE, "many", "'many' is not a voltage. Give a number, alone or with a unit: mV, V."),
-        (HERTZ, "1.5", "'1.5' is not a whole number"),
-        (HERTZ, "inf", "'inf' is not a whole number"),
-        (HERTZ, "nan", "'nan' is not a whole number"),
+        (INTEGER_FREQUENCY, "1.5", "'1.5' is not a whole number"),
+        (INTEGER_FREQUENCY, "inf", "'inf' is not a whole number"),
+        (INTEGER_FREQUENCY, "nan", "'nan' is not a whole number"),
     ],
 )
 def test_another_unit_is_named_for_what_it_is(kind, text, message):
@@ -56,7 +57,7 @@ def test_another_unit_is_named_for_what_it_is(kind, text, message):
 
 
 def test_every_option_that_is_a_quantity_takes_its_units(monkeypatch):
-    monkeypatch.setattr(package_commands, "find_package_parts", lambda *group: {})  # the core has no say in packages
+    monkeypatch.setattr(package_commands, "find_entry_points", lambda *group: {})  # the core has no say in packages
     commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
     unitless_options = {
         option

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from stage import Stage
-from stage.cli import erratum_picture, main, output_files
+from stage.cli import erratum_plot, main, output_files
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstration_plot
 from stage.cli.fault.demonstrations import DEMOS, DemoResult
@@ -49,7 +49,7 @@ def test_completion_scripts_differ_by_shell(capsys):
 @pytest.mark.parametrize("overwrite", [None, True])
 def test_a_plot_of_two_runs_overwrites_a_file_only_on_request(overwrite, monkeypatch):
     calls = []
-    for module, name in ((erratum_picture, "draw_erratum_plot"), (demonstration_plot, "draw_demonstration")):
+    for module, name in ((erratum_plot, "draw_erratum_plot"), (demonstration_plot, "draw_demonstration")):
         monkeypatch.setattr(module, name, lambda result, path, over: calls.append((path, over)))
     for result in (
         ErratumResult("MCX304", False, ({}, {}), (None, None)),

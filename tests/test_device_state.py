@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stage.sim.bus_device_state import HEADER_PART, DeviceState
+from stage.sim.bus_device_state import HEADER_PART_NAME, DeviceState
 
 SIZES = (3, 8, 9, 1)
 WORDS = 1 + 1 + 2 + 1
@@ -52,7 +52,7 @@ def test_arrays_that_move_are_what_they_were_and_the_words_are_theirs(device_sta
 
 def test_the_header_has_name_size_and_layout_of_every_device(device_state):
     ((what, which),) = device_state.header_part
-    assert what == HEADER_PART
+    assert what == HEADER_PART_NAME
     assert [text.partition(" of layout")[0] for text in which.split("; ")] == [
         "a latch (3 bytes",
         "a counter (18 bytes",

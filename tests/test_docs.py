@@ -20,7 +20,7 @@ from support.packages import acme
 from support.pages import agree
 
 from stage.cli import build_parser, main
-from stage.cli.package_commands import KNOWN_PACKAGES
+from stage.cli.package_commands import PACKAGE_BY_COMMAND
 from stage.support import examples
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,7 +69,7 @@ def find_code_blocks(page: Path) -> list[Block]:
 def find_commands(page: Path, packages: bool = False) -> list[str]:
     """Return the command lines in indented blocks, without comments; those that packages bring are tested by these packages."""
     lines = [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
-    return [line for line in lines if packages or line.split()[1] not in KNOWN_PACKAGES]
+    return [line for line in lines if packages or line.split()[1] not in PACKAGE_BY_COMMAND]
 
 
 LONG = ("envs_sync", "sweep")  # pages whose programs take seconds
@@ -184,7 +184,7 @@ def check_commands(page: Path, packages: bool = False) -> None:
     """Check that commands, programs and targets that a page names exist with their options; packages: also what packages bring."""
     text = page.read_text()
     for command in [*find_commands(page, packages), *re.findall(r"`(stage [a-z][^`]*)`", text)]:
-        if command.split()[1] in KNOWN_PACKAGES and not packages:
+        if command.split()[1] in PACKAGE_BY_COMMAND and not packages:
             continue
         build_parser().parse_args(shlex.split(command)[1:])  # ends the program with its usage if it does not know them
     for script, arguments in re.findall(r"python (scripts/[\w/]+\.py)([^`#\n]*)", text):

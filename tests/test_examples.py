@@ -78,7 +78,7 @@ def test_a_wheel_contains_the_examples(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", examples.PROGRAMS)
+@pytest.mark.parametrize("name", examples.EXAMPLE_SCRIPTS)
 def test_a_copied_program_needs_nothing_of_the_repository(name, tmp_path):
     text = examples.find_example(name).read_text()
     program = examples.copy_example(name, tmp_path)

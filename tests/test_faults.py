@@ -225,7 +225,7 @@ def test_copies_have_the_machines_faults_and_keep_them(xyz, name, copy_stage):
         after, switch_table = get_state_bits(xyz), xyz.state.switch_table.tobytes()
     replica.run(0.2)
     assert get_state_bits(replica) == after
-    assert replica.state.switch_table.tobytes() == switch_table, "SWITCH_FAULTS lacks a field of SWITCH_TABLE"
+    assert replica.state.switch_table.tobytes() == switch_table, "SWITCH_FAULT_FIELDS lacks a field of SWITCH_TABLE"
     assert replica.faults == (fault.text,)
 
 
@@ -752,7 +752,7 @@ def test_a_fleet_loses_the_write_as_the_stage_alone_would():
 
 def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
     pytest.importorskip("rerun")
-    from stage.recording.rerun_log import STATES
+    from stage.recording.rerun_log import STATE_COLORS
 
     x = xyz.axes["x"]
     stuck = faults.switch_stuck(x, "org", True)
@@ -776,7 +776,7 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
     ]
     style = [read["/faults"][f"StateConfiguration:{what}"][1][0] for what in ("values", "colors")]
     assert dict(zip(*style, strict=True)) == {
-        state: int("{:02X}{:02X}{:02X}FF".format(*STATES["off" if state == "none" else "fault"]), 16)
+        state: int("{:02X}{:02X}{:02X}FF".format(*STATE_COLORS["off" if state == "none" else "fault"]), 16)
         for state in ("axis x: org stuck closed", "; ".join(both), "none")
     }
     assert list(chain.from_iterable(read["/faults/log"]["TextLog:text"][1])) == [
@@ -852,7 +852,7 @@ def test_limits_of_a_faults_arguments_are_accepted_and_a_supply_names_that_of_al
 
 def test_without_room_for_edges_none_is_written(xyz):
     """with faults.bounce(stage.axes["x"], "org", 1e-6, 8): stage.run(0.1)
-    `EDGES_A_WINDOW = 49` guarded an unchecked write."""
+    `MAX_EDGES_PER_WINDOW = 49` guarded an unchecked write."""
     x, room = xyz.axes["x"], len(xyz.state.edges)
     journal = x.chip.journal()
     run_into(x, "org")

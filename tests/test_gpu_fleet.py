@@ -152,7 +152,7 @@ def test_copies_on_a_gpu_do_what_stages_on_processors_do(stage):
         assert np.quantile(np.abs(truth["position"] - true["position"]), LEAST_SHARE) < 10e-6
         assert np.quantile(np.abs(played.extremes - wanted.extremes), LEAST_SHARE) < 20e-6
         assert not played.diverged.any()
-        chips = [[row.tobytes() for row in rows] for rows in on_gpu.records()["chip"]]
+        chips = [[row.tobytes() for row in rows] for rows in on_gpu.read_records()["chip"]]
         same = np.mean([a == b for a, b in zip(chain(*chips), chain(*get_chip_states(on_cpu)), strict=True)])
         print("chips the same to the bit", same)  # others were stopped by a switch, a clock earlier or later
         assert same > LEAST_SHARE

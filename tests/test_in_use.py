@@ -230,7 +230,7 @@ def test_a_callback_that_does_nothing_places_the_carriage_where_it_would_be(xy):
     assert get_state_bits(xy) == get_state_bits(replica)
 
 
-@pytest.mark.parametrize("name", mujoco_callbacks.NAMES)
+@pytest.mark.parametrize("name", mujoco_callbacks.CALLBACK_NAMES)
 def test_every_callback_is_guarded(xy, name):
     def fail(*_):
         raise KeyError(name)

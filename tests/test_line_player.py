@@ -7,7 +7,7 @@ import pytest
 
 from stage import ArgumentError, Stage, StageError
 from stage.chips import STEPDIR
-from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
+from stage.sim.pin_edge_player import PIN_EDGE, play_pin_edges
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_an_axis_without_a_step_line_is_refused():
 
 
 def test_edges_out_of_order_or_of_no_axis_are_refused(stage):
-    edges = np.zeros(2, LINE_EDGE)
+    edges = np.zeros(2, PIN_EDGE)
     edges["time"] = [2, 1]
     with pytest.raises(ArgumentError, match="their times go back"):
         play_pin_edges(stage, edges, 10)
@@ -127,7 +127,7 @@ def test_edges_out_of_order_or_of_no_axis_are_refused(stage):
 def test_an_edge_whose_time_has_passed_comes_at_once(stage):
     stage = copy.deepcopy(stage)
     stage.run(1e-3)
-    edges = np.zeros(1, LINE_EDGE)
+    edges = np.zeros(1, PIN_EDGE)
     edges["pins"] = edges["levels"] = STEPDIR.INPUTS["step"]
     play_pin_edges(stage, edges, stage.now)
     assert (stage.axes["x"].chip.net(), stage.now) == (1, 1_000_000)

@@ -12,7 +12,7 @@ import pytest
 from stage import ModelError, Stage, firmware
 from stage.cli import main
 from stage.sim import plant
-from stage.sim.plant.new_model import NewAxis, new_model
+from stage.sim.plant.new_model import NewAxis, build_model_text
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTED = (ROOT / "docs" / "models.md").read_text().split("```xml\n")[1].split("```")[0]
@@ -176,7 +176,7 @@ def test_a_proposed_joint_keeps_the_attributes_of_the_one_that_it_replaces():
 @pytest.mark.parametrize("unit", ["degree", "radian"])
 def test_angles_of_a_proposed_hinge_are_in_the_unit_of_the_file(unit):
     """Misspell a joint that has limits and a reference: the proposal renames it, and it stays where it was."""
-    text = new_model([NewAxis.parse("a:hinge:90deg")]).replace('angle="radian"', f'angle="{unit}"')
+    text = build_model_text([NewAxis.parse("a:hinge:90deg")]).replace('angle="radian"', f'angle="{unit}"')
     attributes = (
         'limited="true" ref="5" springref="7"' if unit == "degree" else 'limited="true" ref="0.1" springref="0.2"'
     )
@@ -194,7 +194,7 @@ def test_angles_of_a_proposed_hinge_are_in_the_unit_of_the_file(unit):
 
 @pytest.mark.parametrize("unit", ["degree", "radian"])
 def test_the_range_of_a_proposed_hinge_ends_at_its_hard_stops(unit):
-    text = new_model([NewAxis.parse("a:hinge:90deg")]).replace('angle="radian"', f'angle="{unit}"')
+    text = build_model_text([NewAxis.parse("a:hinge:90deg")]).replace('angle="radian"', f'angle="{unit}"')
     xml, n = re.subn(r' range="\S+ \S+"', "", text)
     assert n == 1
     _, stage = repair(xml)
@@ -214,7 +214,7 @@ def test_proposed_switches_stand_in_order_between_the_hard_stops():
 
 def test_a_new_model_is_well_formed_for_every_xml_reader():
     """`--` inside a comment is read by MuJoCo, and by no other reader."""
-    assert ET.fromstring(new_model([NewAxis.parse("x:slide:100mm")])).tag == "mujoco"
+    assert ET.fromstring(build_model_text([NewAxis.parse("x:slide:100mm")])).tag == "mujoco"
 
 
 def test_view_prints_elements_that_can_be_pasted(tmp_path, capsys):

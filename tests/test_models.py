@@ -159,7 +159,7 @@ def test_every_axis_of_every_model_homes():
 
 def test_every_switch_is_detected_from_5_mm_before_the_touch(axes):
     for a in axes:
-        assert [s.pin for s in a.switches] == list(plant.PINS)
+        assert [s.pin for s in a.switches] == list(plant.SWITCH_PINS)
         assert all(s.lookahead >= 0.005 for s in a.switches)
 
 

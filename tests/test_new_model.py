@@ -15,11 +15,11 @@ from stage import ModelError, Stage, firmware
 from stage.cli import main
 from stage.drives.motors import MOTORS
 from stage.sim import plant
-from stage.sim.plant.new_model import NewAxis, new_model
+from stage.sim.plant.new_model import NewAxis, build_model_text
 
 
 def make_spec(*axes):
-    return mujoco.MjSpec.from_string(new_model([NewAxis.parse(a) for a in axes]))
+    return mujoco.MjSpec.from_string(build_model_text([NewAxis.parse(a) for a in axes]))
 
 
 KINDS = st.one_of(
@@ -33,7 +33,7 @@ KINDS = st.one_of(
 @given(st.lists(KINDS, min_size=1, max_size=4))
 def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_documented(kinds):
     axes = [NewAxis.parse(f"q{k}:{kind}") for k, kind in enumerate(kinds)]
-    result = plant.bind_axes(mujoco.MjSpec.from_string(new_model(axes)).compile())
+    result = plant.bind_axes(mujoco.MjSpec.from_string(build_model_text(axes)).compile())
     assert [a.name for a in result] == [a.name for a in axes]
     for requested, axis in zip(axes, result, strict=True):
         trips = {s.pin: s.touch for s in axis.switches}

@@ -63,7 +63,7 @@ def test_a_built_in_command_takes_precedence_over_one_of_a_package(greeting, cap
 
 
 def test_a_command_whose_package_is_missing_says_in_one_sentence_which_brings_it(monkeypatch, capsys):
-    monkeypatch.setitem(package_commands.KNOWN_PACKAGES, "levitate", "antigravity")
+    monkeypatch.setitem(package_commands.PACKAGE_BY_COMMAND, "levitate", "antigravity")
     with pytest.raises(SystemExit) as ended:
         main(["levitate", "x", "--height", "8mm"])
     assert ended.value.code == 2

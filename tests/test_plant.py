@@ -13,11 +13,11 @@ import pytest
 from stage import ArgumentError, ModelError, Stage, faults, firmware
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
-from stage.sim.model_fingerprint import compute_fingerprint, iterate_settings
+from stage.sim.model_fingerprint import compute_model_digest, iterate_settings
 from stage.sim.plant import model_preparation, naming_contract
 from stage.sim.plant.model_proposals import Proposal
 from stage.sim.plant.naming_contract_errors import ModelProblems
-from stage.sim.plant.new_model import NewAxis, new_model
+from stage.sim.plant.new_model import NewAxis, build_model_text
 
 ROOT = Path(__file__).parent.parent
 
@@ -199,7 +199,7 @@ def test_what_bind_finds_is_where_mujoco_puts_it():
     (axis,) = plant.bind_axes(model)
     assert (axis.joint, axis.qpos, axis.dof, axis.actuator) == (0, 0, 0, 0)
     assert axis.travel == (-0.057, 0.057)
-    assert [s.pin for s in axis.switches] == list(plant.PINS)
+    assert [s.pin for s in axis.switches] == list(plant.SWITCH_PINS)
     for s in axis.switches:
         assert model.sensor(s.sensor).name == f"x_{s.pin}"
         assert (s.found, s.dist) == (model.sensor_adr[s.sensor], model.sensor_adr[s.sensor] + 1)
@@ -594,7 +594,7 @@ def test_actuators_may_stand_in_any_order(model, tmp_path):
 
 def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_texture():
     model = plant.open_spec("xy").compile()
-    observed = {compute_fingerprint(model)}
+    observed = {compute_model_digest(model)}
     for array in (
         model.geom_pos,
         model.geom_size,
@@ -604,13 +604,13 @@ def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_textur
         model.opt.gravity,
     ):
         array.flat[array.size - 1] += 1e-6
-        observed.add(compute_fingerprint(model))
+        observed.add(compute_model_digest(model))
     model.opt.timestep *= 2
-    observed.add(compute_fingerprint(model))
+    observed.add(compute_model_digest(model))
     assert len(observed) == 8
     if model.ntexdata:
         model.tex_data[0] ^= 1
-    assert compute_fingerprint(model) in observed
+    assert compute_model_digest(model) in observed
 
 
 def test_a_line_that_mends_two_axes_is_proposed_once():
@@ -624,7 +624,7 @@ def test_a_line_that_mends_two_axes_is_proposed_once():
 
 def test_the_line_to_add_names_the_geoms_that_the_file_has():
     """Remove a sensor: the contract proposed geom2="x_org_switch" where the file has x_org_beam, and took a_org for a slip"""
-    text = new_model([NewAxis.parse("x:slide:300mm"), NewAxis.parse("a:hinge:90deg")])
+    text = build_model_text([NewAxis.parse("x:slide:300mm"), NewAxis.parse("a:hinge:90deg")])
     lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
     with pytest.raises(ModelError) as caught:
         plant.bind_axes(mujoco.MjModel.from_xml_string("\n".join(lines)))
@@ -633,7 +633,7 @@ def test_the_line_to_add_names_the_geoms_that_the_file_has():
     assert 'geom1="x_org_vane" geom2="x_org_beam"' in line
     lines.insert(next(k for k, target in enumerate(lines) if "<contact name=" in target), line)
     assert [s.pin for s in plant.bind_axes(mujoco.MjModel.from_xml_string("\n".join(lines)))[0].switches] == list(
-        plant.PINS
+        plant.SWITCH_PINS
     ), "and it mends the model"
 
 
@@ -742,16 +742,16 @@ def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
 )
 def test_a_stage_of_a_shipped_model_has_the_model_of_its_file_alone(name, chips, is_displayed):
     """Compiled models are kept for later stages: nothing that a user changes in one reaches another, or its spec."""
-    expected = compute_fingerprint(Stage(plant.open_spec(name), chips, visuals=is_displayed).model)
+    expected = compute_model_digest(Stage(plant.open_spec(name), chips, visuals=is_displayed).model)
     for _ in range(2):
         model = Stage(name, chips, visuals=is_displayed).model
-        assert compute_fingerprint(model) == expected
+        assert compute_model_digest(model) == expected
         for _, _, value in iterate_settings(model):
             if isinstance(value, np.ndarray):
                 value[...] = 7
         model.opt.timestep = 0.5
-    assert compute_fingerprint(Stage(name, chips, visuals=not is_displayed).model) != expected
-    assert compute_fingerprint(Stage(name, HCTL1100, visuals=is_displayed).model) != expected
+    assert compute_model_digest(Stage(name, chips, visuals=not is_displayed).model) != expected
+    assert compute_model_digest(Stage(name, HCTL1100, visuals=is_displayed).model) != expected
     assert plant.open_spec(name).option.timestep == 0.00025
 
 
@@ -765,7 +765,7 @@ def test_the_cache_of_compiled_models_is_bounded(monkeypatch):
 
 def test_the_cache_of_measured_models_is_bounded(monkeypatch):
     monkeypatch.setattr(naming_contract, "_bound", {})
-    monkeypatch.setattr(naming_contract, "MAX_BOUND_PLANTS", 2)
+    monkeypatch.setattr(naming_contract, "MAX_CACHED_PLANTS", 2)
     for k in range(4):
         model = mujoco.MjModel.from_xml_string(edit_documented_xml(('damping="60"', f'damping="{60 + k}"')))
         assert plant.bind_axes(model) is plant.bind_axes(model)

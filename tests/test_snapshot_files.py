@@ -15,7 +15,7 @@ from stage import ArgumentError, Snapshot, Stage, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.support.files import FileError
-from stage.support.snapshot_files import DIGEST_BYTES, LENGTHS, MAGIC, SnapshotError
+from stage.support.snapshot_files import DIGEST_BYTES, LENGTHS_STRUCT, MAGIC, SnapshotError
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +40,10 @@ def update_checksum(data: bytes) -> bytes:
 
 def replace_header_fields(data: bytes, **changes) -> bytes:
     """Replace fields of the header of a snapshot file and update its checksum."""
-    form, head, state = LENGTHS.unpack_from(data, len(MAGIC))
-    begin = len(MAGIC) + LENGTHS.size
+    form, head, state = LENGTHS_STRUCT.unpack_from(data, len(MAGIC))
+    begin = len(MAGIC) + LENGTHS_STRUCT.size
     header = json.dumps(json.loads(data[begin : begin + head]) | changes).encode()
-    return update_checksum(MAGIC + LENGTHS.pack(form, len(header), state) + header + data[begin + head :])
+    return update_checksum(MAGIC + LENGTHS_STRUCT.pack(form, len(header), state) + header + data[begin + head :])
 
 
 PROGRAM = """
@@ -174,7 +174,9 @@ def test_a_header_that_contradicts_the_state_is_refused(snapshot_file, tmp_path,
 
 def test_another_version_of_the_file_format_is_refused(snapshot_file, tmp_path):
     data, path = snapshot_file.read_bytes(), tmp_path / "next.snapshot"
-    _, head, state = LENGTHS.unpack_from(data, len(MAGIC))
-    path.write_bytes(update_checksum(MAGIC + LENGTHS.pack(2, head, state) + data[len(MAGIC) + LENGTHS.size :]))
+    _, head, state = LENGTHS_STRUCT.unpack_from(data, len(MAGIC))
+    path.write_bytes(
+        update_checksum(MAGIC + LENGTHS_STRUCT.pack(2, head, state) + data[len(MAGIC) + LENGTHS_STRUCT.size :])
+    )
     with pytest.raises(SnapshotError, match="of file format 2, and this PulseStage reads format 1"):
         Snapshot.load(path)

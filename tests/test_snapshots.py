@@ -221,5 +221,5 @@ def test_a_layout_is_another_where_a_field_lies_elsewhere():
 def test_a_state_that_would_mean_something_else_now_is_another_ones(monkeypatch):
     """VERSION is counted up: a header of the same words has another checksum"""
     now = SnapshotHeader((("chip", "PCL240K"),)).checksum
-    monkeypatch.setattr(snapshots, "VERSION", snapshots.VERSION + 1)
+    monkeypatch.setattr(snapshots, "STATE_VERSION", snapshots.STATE_VERSION + 1)
     assert SnapshotHeader((("chip", "PCL240K"),)).checksum != now

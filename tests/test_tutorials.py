@@ -35,7 +35,7 @@ def run_typed_command(command, capsys):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_tutorial_that_is_followed_word_for_word_does_what_it_says(page, tmp_path, monkeypatch, capsys):
     if "--mcu atmega" in page.read_text() and not supported_processors.has_simavr():
-        pytest.skip(f"there is no {supported_processors.SIMAVR}")
+        pytest.skip(f"there is no {supported_processors.SIMAVR_REQUIREMENT}")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

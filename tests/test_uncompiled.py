@@ -397,8 +397,8 @@ def test_by_hand_a_stage_that_diverges_ends_its_program():
 def test_room_for_few_samples_and_edges_loses_none(monkeypatch):
     """The loop returns when its room is full, and goes on."""
     full = move_over_a_switch()
-    monkeypatch.setattr(recording, "ROWS", 7)
-    monkeypatch.setattr(stage_state, "EDGES", 8 * 2)  # that is: full with the first edge
+    monkeypatch.setattr(recording, "BUFFER_ROWS", 7)
+    monkeypatch.setattr(stage_state, "SPARE_EDGE_COUNT", 8 * 2)  # that is: full with the first edge
     assert move_over_a_switch() == full
 
 

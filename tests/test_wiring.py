@@ -59,7 +59,7 @@ def test_an_hctl1100_has_no_polarity_bit_a_limit_of_positive_logic_keeps_it_in_i
     """LIMIT is low while nobody is on the switch: status D7 = 0, and control mode is refused."""
     _, x = make_wired_stage(HCTL1100, LIMITS)
     port = ChipPort(x)
-    assert port.is_limited()
+    assert port.is_limit_latched()
     x.chip.write(0x05, 0x03)
     assert x.pins.init
     assert "LIMIT" in x.chip.diagnostics[-1].message

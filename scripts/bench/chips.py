@@ -11,7 +11,7 @@ from bench.figures import Figure, Run
 from bench.timing import measure_alternately
 from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Profile
-from stage.firmware.pcl240.chip_port import CONTROL, RAMP, RESET, SELECT, START
+from stage.firmware.pcl240.chip_port import CONTROL, RAMP_START_COMMANDS, RESET, SELECT, START
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from reference.pcl240 import ReferencePCL240K
@@ -50,19 +50,19 @@ def start_constant_speed(chip: Any) -> Any:
 
 def start_fast_ramp(chip: Any) -> Any:
     """Start the fastest possible ramp (R4 = 2: a speed step every second clock), and return the chip."""
-    return load_registers(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=2, R5=2, R7=2)
+    return load_registers(chip, RESET, CONTROL, RAMP_START_COMMANDS["FH1"], R1=50, R2=8000, R4=2, R5=2, R7=2)
 
 
 def start_s_curve(chip: Any) -> Any:
     """Start an S-curve of 7950 speed steps, and return the chip."""
     profile = Profile(50, 8000, 8000, 3, 3, 2, spans=(0, 0), chip=PCL240MS)
-    return load_registers(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
+    return load_registers(chip, RESET, CONTROL, RAMP_START_COMMANDS["FH1"], **profile.registers(), R0=0xFFFFFF)
 
 
 def start_linear_ramp(chip: Any) -> Any:
     """Start a linear ramp with the number of speed steps and the R4 of `start_s_curve`, and return the chip."""
     profile = Profile(50, 8000, 8000, 3, 3, 2, chip=PCL240MS)
-    return load_registers(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
+    return load_registers(chip, RESET, CONTROL, RAMP_START_COMMANDS["FH1"], **profile.registers(), R0=0xFFFFFF)
 
 
 def measure(run: Run) -> Iterator[Figure]:

@@ -88,12 +88,12 @@ def measure_ramp_shapes(run: Run) -> tuple[np.ndarray, np.ndarray]:
             port.write_command(chip_port.RESET)
             port.write_registers(**profile.registers())
             port.write_command(chip_port.CONTROL)
-            port.write_command(chip_port.RAMP["FH1"])
+            port.write_command(chip_port.RAMP_START_COMMANDS["FH1"])
 
     def work() -> None:
         stage.run(0.29)
         for port in ports:
-            port.write_command(chip_port.RAMP["FL"])
+            port.write_command(chip_port.RAMP_START_COMMANDS["FL"])
         stage.run(0.29)
 
     works = {"curved": (lambda: start((0, 0)), work), "linear": (lambda: start(None), work)}

@@ -12,7 +12,7 @@ import numpy as np
 from stage import Stage
 from stage.chips import PCL240K
 from stage.firmware import ChipPort
-from stage.firmware.pcl240.chip_port import CONTROL, MINUS, RAMP, RESET
+from stage.firmware.pcl240.chip_port import CONTROL, MINUS, RAMP_START_COMMANDS, RESET
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SETTLED = 0.3  # s, ramps are over
@@ -29,7 +29,7 @@ def run_continuously(stage: Stage, minus: bool = False) -> None:
         minus: Whether the axes move in the minus direction.
     """
     for axis in stage.axes.values():
-        for command in (RESET, CONTROL | (MINUS if minus else 0), RAMP["FH1"]):
+        for command in (RESET, CONTROL | (MINUS if minus else 0), RAMP_START_COMMANDS["FH1"]):
             axis.chip.write(0, command)
 
 

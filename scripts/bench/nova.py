@@ -11,7 +11,7 @@ from bench.machines import RATE, SETTLED, make_moving_stage
 from bench.timing import measure_alternately
 from stage import Stage
 from stage.chips import MCX514, PCL240K
-from stage.firmware.pcl240.chip_port import CONTROL, RAMP, RESET, START
+from stage.firmware.pcl240.chip_port import CONTROL, RAMP_START_COMMANDS, RESET, START
 
 TITLE = "NOVA chips beside PCL-240 at the same pulse rates"
 PCL_HZ, NOVA_HZ = PCL240K.DEFAULT_CLOCK_HZ, MCX514.DEFAULT_CLOCK_HZ
@@ -51,7 +51,7 @@ def start_pcl_constant_speed(chip: Any) -> Any:
 
 
 def start_pcl_ramp(chip: Any) -> Any:
-    return load_pcl(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=4, R5=4, R7=2)
+    return load_pcl(chip, RESET, CONTROL, RAMP_START_COMMANDS["FH1"], R1=50, R2=8000, R4=4, R5=4, R7=2)
 
 
 def make_nova_stage() -> Stage:

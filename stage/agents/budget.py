@@ -18,7 +18,7 @@ CHECK_INTERVAL_NS = 250_000_000  # simulated time between two looks at the wall 
 CALL_LIMIT_S = 120.0  # simulated time that one call may take
 
 
-class BudgetSpent(StageError):
+class BudgetExhaustedError(StageError):
     """Error of a call for which the budget has no moves, bus cycles or simulated time left."""
 
 
@@ -45,7 +45,7 @@ class Budget:
             raise ArgumentError(f"seconds={s!r} must be a number, 0 or more, or None for no limit.")
 
 
-class Meter:
+class BudgetMeter:
     """Counter of what an agent uses of one stage, which ends a call that exceeds a limit.
 
     Args:
@@ -79,9 +79,9 @@ class Meter:
         self._stage.loop.pace = self._stage.loop.each_cycle = None
 
     def count_move(self) -> None:
-        """Count a move that is about to begin. Raises BudgetSpent if no move is left."""
+        """Count a move that is about to begin. Raises BudgetExhaustedError if no move is left."""
         if self.budget.moves is not None and self.moves >= self.budget.moves:
-            raise BudgetSpent(f"All {self.budget.moves} moves are spent. {STILL_FREE}")
+            raise BudgetExhaustedError(f"All {self.budget.moves} moves are spent. {FREE_TOOLS_HINT}")
         self.moves += 1
 
     def list_remaining(self) -> dict[str, Any]:
@@ -96,9 +96,9 @@ class Meter:
         return {"moves": self.moves, "seconds": round(self.ns * 1e-9, 9), "cycles": self.cycles}
 
     def _count_cycle(self) -> None:
-        """Count a bus cycle that is about to be made. Raises BudgetSpent if no cycle is left."""
+        """Count a bus cycle that is about to be made. Raises BudgetExhaustedError if no cycle is left."""
         if self.budget.cycles is not None and self.cycles >= self.budget.cycles:
-            raise BudgetSpent(f"All {self.budget.cycles} bus cycles are spent. {STILL_FREE}")
+            raise BudgetExhaustedError(f"All {self.budget.cycles} bus cycles are spent. {FREE_TOOLS_HINT}")
         self.cycles += 1
 
     def _limit_advance(self, until: int) -> int:
@@ -108,7 +108,9 @@ class Meter:
         allowed = min(until - now, CHECK_INTERVAL_NS, self._call_end_ns - self.ns, budget_ns - self.ns)
         if allowed <= 0 < until - now:
             if self.ns >= budget_ns:
-                raise BudgetSpent(f"All {self.budget.seconds:g} s of simulated time are spent. {STILL_FREE}")
+                raise BudgetExhaustedError(
+                    f"All {self.budget.seconds:g} s of simulated time are spent. {FREE_TOOLS_HINT}"
+                )
             raise StageError(
                 f"One call may take {self.call_limit_s:g} s of simulated time, which have passed; the stage keeps its state. "
                 "Ask for less, or go on with another wait."
@@ -127,4 +129,4 @@ class Meter:
         return now + step
 
 
-STILL_FREE = "Tools that need none of it still answer: budget, registers, report, trace, diagnostics, picture."
+FREE_TOOLS_HINT = "Tools that need none of it still answer: budget, registers, report, trace, diagnostics, picture."

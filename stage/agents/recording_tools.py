@@ -88,19 +88,19 @@ class StageRecorderTools:
         self._files += 1
         return {"written": name, "bytes": path.stat().st_size}
 
-    def end_long_recording(self) -> None:
+    def enforce_duration_limit(self) -> None:
         """End a recording that has become longer than `MAX_DURATION_S`."""
         running = self._context.stage.recording
         if running is not None and running.duration > MAX_DURATION_S:
             running.close()
 
-    def end_own_recording(self) -> None:
+    def end_session_recording(self) -> None:
         """End the recording that this session has begun, if it is in progress."""
         running = self._context.stage.recording
         if running is not None and running is self._recording:
             running.close()
 
-    def describe_last_recording(self) -> dict[str, Any]:
+    def tabulate_last_recording(self) -> dict[str, Any]:
         """Return the last recording, or the rates of the last move if that is later, as columns of up to `MAX_SAMPLES` values.
 
         Raises:

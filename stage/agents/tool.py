@@ -16,7 +16,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from stage.agents.tool_arguments import choose, explain_validation_error, format_value
 from stage.errors import ArgumentError, StageError, find_similar_names
 
-ENDED = "This session has ended, and its stage is gone. Open a new session, which begins at power-up."
+SESSION_END_MESSAGE = "This session has ended, and its stage is gone. Open a new session, which begins at power-up."
 
 
 class _CompactJsonSchema(GenerateJsonSchema):
@@ -230,7 +230,7 @@ class ToolSet:
     def cancel_call(self) -> None:
         """Make the running call end soon. Another thread may call this method."""
 
-    def close(self, reason: str = ENDED) -> None:
+    def close(self, reason: str = SESSION_END_MESSAGE) -> None:
         """End the session: each later call answers `reason`. Does nothing if the session has ended already."""
         with self._lock:
             if not self._closed:

@@ -28,7 +28,7 @@ MAX_INTEGER = (1 << 63) - 1
 UNITS = POSITION_FACTORS["m"] | POSITION_FACTORS["rad"]
 INTEGER_PATTERN = rf"^\s*[-+]?({units.INTEGER_PATTERN})\s*$"
 LENGTH_PATTERN = rf"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*({'|'.join(UNITS)})?\s*$"
-UNIT_PATTERN = LENGTH_PATTERN.replace(")?\\s*$", ")\\s*$")
+LENGTH_WITH_UNIT_PATTERN = LENGTH_PATTERN.replace(")?\\s*$", ")\\s*$")
 REQUIRED: Any = ...
 
 
@@ -179,7 +179,7 @@ def _require_unit(value: Any) -> Any:
 LengthWithUnit = Annotated[
     _Meters,
     BeforeValidator(_parse_length),
-    BeforeValidator(_require_unit, json_schema_input_type=Annotated[str, Field(pattern=UNIT_PATTERN)]),
+    BeforeValidator(_require_unit, json_schema_input_type=Annotated[str, Field(pattern=LENGTH_WITH_UNIT_PATTERN)]),
     Field(examples=["10mm"]),
 ]
 """Meters or radians: a text with its unit, for distances of moves."""

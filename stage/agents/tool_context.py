@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.agents.budget import Budget, Meter
+from stage.agents.budget import Budget, BudgetMeter
 from stage.agents.host_diagnostics import HostDiagnostics
 from stage.agents.tool_arguments import argument, choice
 from stage.firmware.driver import Driver, get_driver
@@ -28,7 +28,7 @@ class ToolContext:
 
     def __init__(self, stage: Stage, mode: str, budget: Budget, patience: float | None):
         self.stage, self.mode = stage, mode
-        self.meter = Meter(stage, budget, patience)
+        self.meter = BudgetMeter(stage, budget, patience)
         self.axes = tuple(stage.axes)
         self.report: Any = None
         self._drivers: dict[str, Driver] = {}

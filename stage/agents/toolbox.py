@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from stage.agents.budget import Budget, BudgetSpent
+from stage.agents.budget import Budget, BudgetExhaustedError
 from stage.agents.bus_tools import MODES, BusTools
 from stage.agents.motion_tools import MotionTools, describe_report
 from stage.agents.picture_tool import make_picture_tool
@@ -95,7 +95,7 @@ class Toolbox(ToolContext, ToolSet):
             self.meter.end_call()
             for trace in self.traces:
                 trace.add_new_entries()
-            self.recordings.end_long_recording()
+            self.recordings.enforce_duration_limit()
 
     def describe_failure(self, error: StageError) -> Answer:
         """Return the answer of a call that has raised an error.
@@ -103,7 +103,7 @@ class Toolbox(ToolContext, ToolSet):
         The answer contains the rest of the budget if that is spent, and the report so far of a move that took too long.
         """
         data: dict[str, Any] = {"error": str(error)}
-        if isinstance(error, BudgetSpent):
+        if isinstance(error, BudgetExhaustedError):
             data["left"] = self.meter.list_remaining()
         report = getattr(error, "report", None)
         if report is not None:
@@ -118,7 +118,7 @@ class Toolbox(ToolContext, ToolSet):
         self.meter.call_cancelled = True
 
     def release(self) -> None:
-        self.recordings.end_own_recording()
+        self.recordings.end_session_recording()
         for trace, diagnostics in zip(self.traces, self.diagnostics, strict=True):
             trace.close()
             diagnostics.close()

@@ -21,12 +21,12 @@ import numpy as np
 from stage.board import bus_layouts
 from stage.board.bus import host_record, host_requests
 from stage.board.bus.host_record import DEVICE, EIGHT, HALF, LATCH, LATCHED, NOTHING, PULLS, UPPER, WIDE, WORD
-from stage.board.bus.interrupt_controller import ANY_INTERRUPT_LINE, HIGHEST
-from stage.board.bus_trace import BusTrace, Cycle, Meaning
+from stage.board.bus.interrupt_controller import ANY_INTERRUPT_LINE, HIGHEST_LEVEL
+from stage.board.bus_trace import BoardDescriber, BusTrace, Cycle
 from stage.board.bus_waveforms import HostWaveforms
 from stage.board.devices import device_options
-from stage.board.devices.device import Device, Encoder, Listener
-from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevice
+from stage.board.devices.device import Device, DeviceDescriber, Encoder
+from stage.board.devices.user_devices import CDevice, PythonDevice, UserDescriber
 from stage.board.errors import HostError
 from stage.board.host_record_link import Link
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
@@ -36,13 +36,13 @@ from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim.stage import MAX_RUN_S, Stage
 from stage.support.argument_checks import explain_arguments
 
-DEFAULT_CYCLES = 100_000  # lines of the trace
-MAX_CYCLES = 1 << 28
+DEFAULT_TRACE_LINES = 100_000  # lines of the trace
+MAX_TRACE_LINES = 1 << 28
 MAX_LOG_LINES = 1_000_000
 MAX_DEVICE_PORTS = 1 << 16
 MAX_SOURCES = 62  # of interrupts: bits of a word
 DELAY_PIECE_US = 100_000  # a longer delay is made in pieces, between which Ctrl-C is heard
-KINDS = ("", "address {}", "address {}", "upper byte of address {}", "address latch", "data", "interrupts")
+PORT_DESCRIPTIONS = ("", "address {}", "address {}", "upper byte of address {}", "address latch", "data", "interrupts")
 """Description of what a port reaches, by the kind of the port."""
 _D = TypeVar("_D", bound=Device)
 
@@ -85,13 +85,13 @@ class Board:
         base: int | Mapping[str, int] | None = None,
         stride: int | None = None,
         *,
-        keep_cycles: int = DEFAULT_CYCLES,
+        keep_cycles: int = DEFAULT_TRACE_LINES,
         devices: Iterable[str] = (),
     ):
         if not isinstance(stage, Stage):
             raise ArgumentError(f"{stage!r} is no Stage: Board(Stage('xyz', chips=PCL240K)).")
-        if int(keep_cycles) != keep_cycles or not 1 <= keep_cycles <= MAX_CYCLES:
-            raise ArgumentError(f"keep_cycles={keep_cycles!r}: a trace keeps 1 to {MAX_CYCLES} lines.")
+        if int(keep_cycles) != keep_cycles or not 1 <= keep_cycles <= MAX_TRACE_LINES:
+            raise ArgumentError(f"keep_cycles={keep_cycles!r}: a trace keeps 1 to {MAX_TRACE_LINES} lines.")
         layout = bus_layouts.load_layout(layout)
         self.stage = stage
         self.options = {"layout": layout, "base": base, "stride": stride, "keep_cycles": keep_cycles}
@@ -226,8 +226,8 @@ class Board:
             )
         if n not in range(len(PYTHONS_TIMERS)):
             raise ArgumentError(f"n={n!r}: timers of a board in Python are 0 to {len(PYTHONS_TIMERS) - 1}.")
-        if level not in range(1, HIGHEST + 1):
-            raise ArgumentError(f"level={level!r}: levels of hooks are 1 to {HIGHEST}.")
+        if level not in range(1, HIGHEST_LEVEL + 1):
+            raise ArgumentError(f"level={level!r}: levels of hooks are 1 to {HIGHEST_LEVEL}.")
         period = round(period_us * 1000)
         self.link.make_request(host_record.SETTLE, 0, 0)
         self.link.hooks.set_hook(PYTHONS_TIMERS[n], hook if period else None, level=level, period=period)
@@ -244,7 +244,7 @@ class Board:
         source: str | os.PathLike | Sequence[str | os.PathLike] | None = None,
         flags: Sequence[str] = (),
         state: np.ndarray | bytearray | None = None,
-        describe: DescribeCycle | None = None,
+        describe: UserDescriber | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,
@@ -350,7 +350,7 @@ class Board:
         """Description of each port that reaches a chip or device."""
         names = {place.index: self.join_axis_names(place.index) for place in self.places}
         return {
-            port: f"{names[int(p['chip'])]} {KINDS[int(p['kind'])].format(int(p['address']))}"
+            port: f"{names[int(p['chip'])]} {PORT_DESCRIPTIONS[int(p['kind'])].format(int(p['address']))}"
             if p["kind"] != DEVICE
             else f"{self.devices[int(p['chip'])].name}, {self.devices[int(p['chip'])].name_port(int(p['address']))}"
             for port, p in self._list_ports()
@@ -372,7 +372,7 @@ class Board:
         """
         return "".join(axis.name for axis in self.stage.axes.values() if axis.chip is self.stage.chips[chip])
 
-    def make_describer(self) -> Meaning:
+    def make_describer(self) -> BoardDescriber:
         """Return a function that explains bus cycles. It must receive all cycles from the first one on."""
         listeners = {
             place.index: twin.make_describer() for place, twin in zip(self.places, self._initial_chips, strict=True)
@@ -407,7 +407,7 @@ class Board:
 
         return describe
 
-    def _describe_device_cycle(self, listener: Listener, n: int, value: int, writes: bool, wide: bool) -> str:
+    def _describe_device_cycle(self, listener: DeviceDescriber, n: int, value: int, writes: bool, wide: bool) -> str:
         """Explain a bus cycle of a device. If the user's `describe` function fails, return its error, so that the trace
         still prints."""
         loop, before = self.stage.loop, self.stage.loop.time_refusal

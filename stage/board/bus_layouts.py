@@ -28,7 +28,7 @@ import numpy as np
 from stage.board.bus.host_record import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PORT, PULLS, REGION, WORD
 from stage.chips import CHIPS, Chip, chip_class, contract_check
 from stage.chips.hctl1100 import HCTL1100
-from stage.chips.nova import BYTES, MCX514, Nova
+from stage.chips.nova import FIRST_BYTE_ADDRESS, MCX514, Nova
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError, add_article, find_similar_names, unknown_name_error
 from stage.support.foreign_files import DocumentError, parse_json, parse_toml, read_text
@@ -45,7 +45,7 @@ register; the upper byte of the preceding word; the address latch; the data port
 chips that pull the interrupt line; nothing."""
 KEYS = ("chip", "like", "title", "base", "stride", "ports", "own", "chips")
 ENDINGS = (".toml", ".json")
-MAX_SHOWN = 60
+MAX_VALUE_CHARACTERS = 60
 """Maximum number of characters of a value in an error."""
 EXAMPLE = 'ports = ["byte 0", "byte 1", "byte 2", "byte 3"]'
 
@@ -77,19 +77,20 @@ class Layout:
     evidence: str = "S"
 
 
-_FOUR = tuple((BYTE, a) for a in range(4))
-_WORDS = tuple((WORD if n % 2 == 0 else HALF, n // 2) for n in range(16))
+_FOUR_BYTE_PORTS = tuple((BYTE, a) for a in range(4))
+_WORD_PORTS = tuple((WORD if n % 2 == 0 else HALF, n // 2) for n in range(16))
 LAYOUTS: dict[str, Layout] = {
     x.name: x
     for x in (
-        Layout("pcl240", "one chip per 4 ports: command or status, then the data bytes", PCL240, _FOUR, 4),
+        Layout("pcl240", "one chip per 4 ports: command or status, then the data bytes", PCL240, _FOUR_BYTE_PORTS, 4),
         Layout(
-            "pcl240-card", "three chips, and at +12 which of them pull the interrupt line (bits 0 to 2)", PCL240, _FOUR, 4, 0x340,
+            "pcl240-card", "three chips, and at +12 which of them pull the interrupt line (bits 0 to 2)", PCL240,
+            _FOUR_BYTE_PORTS, 4, 0x340,
             ((PULLS, 0),), 3, "I",
         ),
-        Layout("nova", "16-bit bus: WRn, RRn at +2n", Nova, _WORDS, 16),
+        Layout("nova", "16-bit bus: WRn, RRn at +2n", Nova, _WORD_PORTS, 16),
         Layout("nova-8bit", "8-bit bus of the MCX514: low byte of WRn, RRn at +2n, high byte at +2n+1", MCX514,
-               tuple((BYTE, BYTES | n) for n in range(16)), 16),
+               tuple((BYTE, FIRST_BYTE_ADDRESS | n) for n in range(16)), 16),
         Layout("hctl1100", "address latch at +0, data at +1", HCTL1100, ((LATCH, 0), (LATCHED, 0)), 2, evidence="I"),
     )
 }  # fmt: skip
@@ -252,7 +253,7 @@ def load_layout(layout: str | os.PathLike | Layout | None) -> Layout | None:
 def _find_shipped_layout(name: str) -> Layout:
     """Return the built-in layout of this name. Raises ArgumentError."""
     if name not in LAYOUTS:
-        raise unknown_name_error("layout", name[:MAX_SHOWN], LAYOUTS)
+        raise unknown_name_error("layout", name[:MAX_VALUE_CHARACTERS], LAYOUTS)
     return LAYOUTS[name]
 
 
@@ -283,8 +284,8 @@ def _parse_layout(name: str, content: Mapping[str, Any]) -> Layout:
     """Return the bus layout that the keys of a file describe."""
     for key in content:
         if key not in KEYS:
-            raise unknown_name_error("key", key[:MAX_SHOWN], KEYS)
-    start = _parse_start(name, content)
+            raise unknown_name_error("key", key[:MAX_VALUE_CHARACTERS], KEYS)
+    start = _parse_base_layout(name, content)
     ports = _parse_ports("ports", content["ports"], start.kind) if "ports" in content else start.ports
     if not ports:
         raise ArgumentError(f"there is no line that says what the ports of a chip reach, or that takes them from a shipped layout. "
@@ -303,9 +304,9 @@ def _parse_layout(name: str, content: Mapping[str, Any]) -> Layout:
     )  # fmt: skip
 
 
-def _parse_start(name: str, content: Mapping[str, Any]) -> Layout:
+def _parse_base_layout(name: str, content: Mapping[str, Any]) -> Layout:
     """Return the layout on which a file builds: a built-in one, or an empty one for its class of chips."""
-    kind = chip_class(str(content["chip"])[:MAX_SHOWN]) if "chip" in content else None
+    kind = chip_class(str(content["chip"])[:MAX_VALUE_CHARACTERS]) if "chip" in content else None
     if "like" in content:
         start = _find_shipped_layout(str(content["like"]))
         return replace(start, kind=kind or start.kind)
@@ -320,10 +321,11 @@ def _parse_ports(key: str, texts: Any, chip: type[Chip]) -> tuple[tuple[int, int
     """Return what each port of a layout's list reaches, (kind, address), from its words."""
     if not isinstance(texts, list):
         raise ArgumentError(
-            f"{key} = {texts!r:.{MAX_SHOWN}}: a list of what each port reaches. Write for example: {EXAMPLE}"
+            f"{key} = {texts!r:.{MAX_VALUE_CHARACTERS}}: a list of what each port reaches. Write for example: {EXAMPLE}"
         )
     ports = tuple(
-        _parse_port(f"{key}, entry {n + 1}, {text!r:.{MAX_SHOWN}}", text, chip) for n, text in enumerate(texts)
+        _parse_port(f"{key}, entry {n + 1}, {text!r:.{MAX_VALUE_CHARACTERS}}", text, chip)
+        for n, text in enumerate(texts)
     )
     for n, (kind, address) in enumerate(ports):
         before = ports[n - 1] if n else (NOTHING, 0)
@@ -374,6 +376,7 @@ def _parse_number(content: Mapping[str, Any], key: str, default: int, low: int, 
         number = None
     if isinstance(number, bool) or not isinstance(number, int) or not low <= number <= high:
         raise ArgumentError(
-            f"{key} = {value!r:.{MAX_SHOWN}}: a whole number from {low} to {high}, for example {key} = {max(low, default)}"
+            f"{key} = {value!r:.{MAX_VALUE_CHARACTERS}}: a whole number from {low} to {high}, for example {key} = "
+            f"{max(low, default)}"
         )
     return number

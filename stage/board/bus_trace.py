@@ -21,9 +21,9 @@ from stage.support.argument_checks import explain_constructor
 if TYPE_CHECKING:
     from stage.board.board import Board
 
-KIND_BITS = 7  # of a line's kind, which say what cycle it is
+KIND_MASK = 7  # of a line's kind, which say what cycle it is
 FLAGS = host_record.STRAY, host_record.WRITE_LOST, host_record.RAISED
-ENDS = {
+HOOK_END_TEXTS = {
     BACK: "returns",
     JUMPED: "is over: a jump has left its hook",
     LOWERED: "is over: its hook has lowered the level",
@@ -63,7 +63,7 @@ class Cycle(NamedTuple):
         return f"{self.seconds:17.9f}  {self.port:03X}h {self.direction} {value:5}  {self.meaning:56}  {again}".rstrip()
 
 
-Meaning = Callable[[int, int, bool, bool], str]
+BoardDescriber = Callable[[int, int, bool, bool], str]
 """Function (port, value, whether the cycle is a write, whether it has 16 bits) that returns the meaning of a bus cycle in words."""
 
 
@@ -77,7 +77,7 @@ def format_interrupt(kind: int, source: int, value: int) -> str:
     """
     name = format_source_name(source) if source else "the hook"
     if kind == host_record.RETURNED:
-        return f"interrupt: {name} {ENDS[value]}"
+        return f"interrupt: {name} {HOOK_END_TEXTS[value]}"
     missed = f" ({value:,} {'tick was' if value == 1 else 'ticks were'} missed)" if value else ""
     return f"interrupt: {name} is called{missed}"
 
@@ -108,7 +108,7 @@ class BusTrace:
     @property
     def total(self) -> int:
         """Number of lines since the board was created, with those that the buffer dropped."""
-        return self._board.link.traced
+        return self._board.link.traced_lines
 
     @property
     def dropped(self) -> int:
@@ -152,7 +152,7 @@ class BusTrace:
         return self.text()
 
 
-def _make_cycle(line: tuple[int, ...], describe: Meaning) -> Cycle:
+def _make_cycle(line: tuple[int, ...], describe: BoardDescriber) -> Cycle:
     """Convert a CYCLE record to a `Cycle`.
 
     Args:
@@ -161,7 +161,7 @@ def _make_cycle(line: tuple[int, ...], describe: Meaning) -> Cycle:
     """
     at, until, count, kind, port, value = line
     stray, lost, raised = (bool(kind & flag) for flag in FLAGS)
-    kind &= KIND_BITS
+    kind &= KIND_MASK
     if kind in (host_record.CALLED, host_record.RETURNED):
         way = "Ii"[kind - host_record.CALLED]
         return Cycle(at * 1e-9, at * 1e-9, 1, way, None, 0, 0, False, format_interrupt(kind, port, value))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.board.bus.host_record import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
-from stage.board.bus_trace import KIND_BITS
+from stage.board.bus_trace import KIND_MASK
 from stage.recording.vcd_writer import HOST_SCOPE
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class HostWaveforms:
         trace = self.board.trace
         return TracePosition(trace.total, trace.lines()["last"][-NEWEST_LINES:])
 
-    def changes(
+    def register_signals(
         self, writer: Any, first: TracePosition | None, last: TracePosition | None, begin: int, end: int
     ) -> list[Iterator[tuple[int, Any, Any]]]:
         """Register the signals of the bus in a VCD file, if the recording has bus cycles, and return their changes.
@@ -96,7 +96,7 @@ def _register_signals(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -
     """Register the signals in the VCD file, and return iterators of their changes."""
     if not len(lines):
         return []
-    kind = lines["kind"] & KIND_BITS
+    kind = lines["kind"] & KIND_MASK
     hooks = (kind == CALLED) | (kind == RETURNED)
     cycles, kinds = lines[~hooks], kind[~hooks]
     wide = bool(np.isin(kinds, (IN_WIDE, OUT_WIDE)).any())

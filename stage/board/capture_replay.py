@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.board.pin_assignment import DRIVEN, PRESETS, UART_LINE, PinLine, parse_pins
+from stage.board.pin_assignment import DRIVEN_LINE_PINS, PRESETS, UART_LINE, PinLine, parse_pins
 from stage.errors import ArgumentError
 from stage.firmware.axis import check_seconds
 from stage.recording.vcd_reader import Capture, CaptureError, read_capture
-from stage.sim.pin_edge_player import LINE_EDGE, LineObservation, play_pin_edges
+from stage.sim.pin_edge_player import PIN_EDGE, PinEdgeObservation, play_pin_edges
 from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS, format_lost_steps
 
@@ -232,7 +232,7 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
     absent = _find_absent_lines(capture, lines, texts)
     lines = tuple(line for line in lines if line not in absent)
     changes, duration_ns = _decode_lines(capture, lines)
-    edges = _make_edges(stage, [c for c in changes if c.line.line in DRIVEN])
+    edges = _make_edges(stage, [c for c in changes if c.line.line in DRIVEN_LINE_PINS])
     begin = stage.now
     axes = [stage.axes[name] for name in dict.fromkeys(line.axis for line in lines)]
     before = [
@@ -301,13 +301,13 @@ def _round_to_ns(times: Any, unit_ns: Fraction) -> Any:
 
 
 def _make_edges(stage: Stage, changes: Sequence[_LineChanges]) -> np.ndarray:
-    """Return LINE_EDGE records of the driven lines in the order of time. At equal times STEP comes last."""
+    """Return PIN_EDGE records of the driven lines in the order of time. At equal times STEP comes last."""
     parts, is_step = [], []
     for line, times, asserted in changes:
         axis = stage.axes[line.axis]
         step = line.line == "step"
         played = ~asserted | (times > 0) if step else np.ones(len(times), bool)  # STEP high at the begin is no edge
-        part = np.zeros(int(played.sum()), LINE_EDGE)
+        part = np.zeros(int(played.sum()), PIN_EDGE)
         mask = line.get_mask(axis.chip)
         part["time"], part["axis"], part["pins"] = times[played] + stage.now, axis.index, mask
         part["levels"] = np.where(asserted[played], mask, 0)
@@ -318,7 +318,7 @@ def _make_edges(stage: Stage, changes: Sequence[_LineChanges]) -> np.ndarray:
 
 
 def _report_axis(
-    axis: Axis, changes: Sequence[_LineChanges], observation: LineObservation, begin: int, inputs: int, *before: Any
+    axis: Axis, changes: Sequence[_LineChanges], observation: PinEdgeObservation, begin: int, inputs: int, *before: Any
 ) -> AxisReplay:
     """Return the report of one axis about the replay of a capture.
 
@@ -341,7 +341,7 @@ def _report_axis(
         axis.position, axis.commanded,
         axis.lost_steps - lost_steps, float(observation.largest_errors[axis.index]),
         (int(observation.error_times[axis.index]) - begin) * 1e-9, tuple(_list_switch_edges(axis, words, times)),
-        tuple(_compare_switch(axis, c, words, times) for c in changes if c.line.line not in DRIVEN),
+        tuple(_compare_switch(axis, c, words, times) for c in changes if c.line.line not in DRIVEN_LINE_PINS),
         tuple(_count_violations(axis, state["violations"] - violations)),
         any(c.line.line == "dir" for c in changes), axis.lost_pulses - lost_pulses,
     )  # fmt: skip

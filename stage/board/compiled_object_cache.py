@@ -22,15 +22,17 @@ MAX_FILES = 3000
 """Files of the cache, three for each object; beyond, the oldest third is removed."""
 HEADERS = (".h", ".hh", ".hpp", ".hxx", ".inc", ".ipp", ".tpp", ".def", "")
 """Suffixes of files that sources include."""
-TEMPORARY = "@TEMPORARY@"
+FOLDER_PLACEHOLDER = "@TEMPORARY@"
 """Stands for the folder of translated sketches, which has another name in each build."""
 VARIABLES = ("CPATH", "C_INCLUDE_PATH", "CPLUS_INCLUDE_PATH", "COMPILER_PATH", "GCC_EXEC_PREFIX")
-_WRITES_MORE = re.compile(r"--coverage|-fprofile|-ftest-coverage|-save-temps|-M|-d|-Wp,|@|-fplugin|-specs|-B|-x")
+_EXTRA_OUTPUT_PATTERN = re.compile(
+    r"--coverage|-fprofile|-ftest-coverage|-save-temps|-M|-d|-Wp,|@|-fplugin|-specs|-B|-x"
+)
 
 
 def can_cache(flags: Sequence[str]) -> bool:
     """Return whether a compilation with flags of a user has an object file as its only result."""
-    return not any(_WRITES_MORE.match(flag) for flag in flags)
+    return not any(_EXTRA_OUTPUT_PATTERN.match(flag) for flag in flags)
 
 
 class CompiledObjectCache:
@@ -68,7 +70,7 @@ class CompiledObjectCache:
             The object file and the messages.
         """
         target = output if self._folder is None else self._folder / f"{self._compute_key(source, command)}.o"
-        if self._folder is not None and (message := self._find_message(target)) is not None:
+        if self._folder is not None and (message := self._read_valid_message(target)) is not None:
             return target, message
         dependencies = output.with_suffix(".d")
         message = run([*command, "-MD", "-MF", str(dependencies), "-o", str(output)])
@@ -89,24 +91,26 @@ class CompiledObjectCache:
             if str(folder) != self._temporary and folder.is_dir()
         }
         parts = [
-            self._hide(" ".join(command)), hashlib.sha256(source.read_bytes().replace(self._temporary.encode(), b"")).hexdigest(),
+            self._insert_placeholder(" ".join(command)),
+            hashlib.sha256(source.read_bytes().replace(self._temporary.encode(), b"")).hexdigest(),
             names, str(Path.cwd()), describe_compiler(self._compiler), [os.environ.get(name) for name in VARIABLES],
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode(errors="surrogateescape")).hexdigest()
 
-    def _find_message(self, target: Path) -> str | None:
+    def _read_valid_message(self, target: Path) -> str | None:
         """Return the messages of the compiler about an object file that can be used as it is, or None."""
         try:
             description = json.loads(target.with_suffix(".json").read_text(encoding="utf-8"))
             is_current = all(
-                self._compute_digest(Path(self._show(name))) == digest for name, digest in description["files"].items()
+                self._compute_digest(Path(self._expand_placeholder(name))) == digest
+                for name, digest in description["files"].items()
             )
         except (OSError, ValueError, KeyError):
             return None
         if not (is_current and object_file_cache.is_intact(target)):
             return None
         os.utime(target)
-        return self._show(description["message"])
+        return self._expand_placeholder(description["message"])
 
     def _store(self, target: Path, output: Path, dependencies: Path, message: str) -> None:
         """Store an object file in the cache, with the digests of all files that it was made from."""
@@ -115,8 +119,8 @@ class CompiledObjectCache:
         )
         names = [name.replace("\\ ", " ") for name in re.split(r"(?<!\\)\s+", text) if name]
         description = {
-            "files": {self._hide(name): self._compute_digest(Path(name)) for name in names},
-            "message": self._hide(message),
+            "files": {self._insert_placeholder(name): self._compute_digest(Path(name)) for name in names},
+            "message": self._insert_placeholder(message),
         }
         self._remove_oldest()
         object_file_cache.write_object(target, output.read_bytes())
@@ -137,13 +141,13 @@ class CompiledObjectCache:
         for _, path in sorted(files)[: len(files) // 3] if len(files) > MAX_FILES else ():
             Path(path).unlink(missing_ok=True)
 
-    def _hide(self, text: str) -> str:
+    def _insert_placeholder(self, text: str) -> str:
         """Replace the path of the temporary build folder in a compiler's text by a placeholder."""
-        return text.replace(self._temporary, TEMPORARY)
+        return text.replace(self._temporary, FOLDER_PLACEHOLDER)
 
-    def _show(self, text: str) -> str:
+    def _expand_placeholder(self, text: str) -> str:
         """Insert the path of the temporary build folder into a compiler's text from the cache."""
-        return text.replace(TEMPORARY, self._temporary)
+        return text.replace(FOLDER_PLACEHOLDER, self._temporary)
 
 
 @functools.cache

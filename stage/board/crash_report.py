@@ -17,10 +17,10 @@ from stage.support.subprocesses import run_program
 
 IS_SUPPORTED = sys.platform == "linux" and sys.maxsize > 1 << 32
 """True on 64-bit Linux, where the firmware's process can report crashes and calls and can have windows."""
-TOUCHES = (signal.SIGSEGV, signal.SIGBUS)
-MAX_SHOWN = 6  # calls in a message
+MEMORY_SIGNALS = (signal.SIGSEGV, signal.SIGBUS)
+MAX_LISTED_CALLS = 6  # calls in a message
 ENTRY = "pulsestage_main"
-ARITHMETIC = {
+SIGFPE_CAUSES = {
     1: "an integer was divided by 0 (or the smallest one by -1)",
     2: "an integer overflowed",
     3: "a floating-point number was divided by 0, and the firmware has turned traps on",
@@ -101,7 +101,7 @@ def describe_crash(note: bytes, *libraries: Path) -> str:
     inner = crash.frames[: names.index(ENTRY) + 1] if ENTRY in names else crash.frames
     places = _locate_frames(inner, libraries)
     calls = [(place, len(list(same))) for place, same in groupby(places) if place and RUST_ITSELF not in place]
-    where = [f"{place}{f', {n} times' if n > 1 else ''}" for place, n in calls[:MAX_SHOWN]]
+    where = [f"{place}{f', {n} times' if n > 1 else ''}" for place, n in calls[:MAX_LISTED_CALLS]]
     cause = _describe_cause(crash, {*names, *places})
     parts = [part for part in (cause, f"in {', called from '.join(where)}" if where else "") if part]
     return f": {', '.join(parts)}" if parts else ""
@@ -119,7 +119,7 @@ def _describe_cause(crash: Crash, names: set[str]) -> str:
     if crash.jumped:
         hint = ": a pointer to a function that was never set?" if crash.address < NULL else ""
         return f"it called address {crash.address:X}h, where no code is{hint}"
-    if crash.signal in TOUCHES and crash.address >= 0:
+    if crash.signal in MEMORY_SIGNALS and crash.address >= 0:
         verb = {True: "it wrote to", False: "it read from", None: "an access to"}[crash.wrote]
         hint = ""
         if crash.address < NULL:
@@ -128,7 +128,7 @@ def _describe_cause(crash: Crash, names: set[str]) -> str:
             hint = " (memory-mapped I/O? --map makes bus cycles of it: docs/memory_mapped.md)"
         return f"{verb} address {crash.address:X}h{hint}"
     if crash.signal == signal.SIGFPE:
-        return ARITHMETIC.get(crash.code, "")
+        return SIGFPE_CAUSES.get(crash.code, "")
     if any("rust_panic" in name or "std::panicking" in name for name in names):
         return "a panic in Rust"
     if any(name.startswith(("__cxa_throw", "_ZSt9terminatev", "_ZN10__cxxabiv1")) for name in names):

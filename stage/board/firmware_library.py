@@ -26,13 +26,13 @@ from stage.board.firmware_pins import (
     PIN_READS,
     PIN_USE,
     SERIAL_USE,
-    FirmwareUse,
+    FirmwarePinUse,
     check_board_pins,
+    find_disabled_transmitters,
     find_firmware_wiring_findings,
-    find_silent_serial_lines,
     make_line_table,
 )
-from stage.board.pin_assignment import NO_PINS, PinWiring
+from stage.board.pin_assignment import EMPTY_WIRING, PinWiring
 from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from stage.board.pin_assignment import WiringFinding
 
 ABI = 1
-SOURCES = (".c", ".cc", ".cpp", ".cxx", *platforms.SKETCHES)
+SOURCE_SUFFIXES = (".c", ".cc", ".cpp", ".cxx", *platforms.SKETCHES)
 ENTRY = "pulsestage_main"
 NO_LIMIT = (1 << 63) - 1  # basic blocks between two requests of a meter
 BIND_FLAGS = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
@@ -63,7 +63,7 @@ _REPORT_FLAGS = (
     ("-fsanitize=thread", "-mllvm", "-tsan-distinguish-volatile=1"),
 )
 """Flags of GCC and of Clang with which compiled C calls functions before each access to memory, and before volatile ones others."""
-METER = Path(__file__).parent / "meter.c"
+METER_SOURCE = Path(__file__).parent / "meter.c"
 """Source of the counter of basic blocks, for firmware whose computing takes time."""
 MACHINES = {
     2: "SPARC", 3: "x86 (32 bit)", 4: "68000", 8: "MIPS", 20: "PowerPC", 40: "ARM (32 bit)", 42: "SuperH", 62: "x86-64", 83: "AVR",
@@ -153,7 +153,7 @@ def build(
         refuse_irregular(file, "source")
         if not file.is_file():
             raise FileError(f"{file}: there is no such source.")
-    if output is not None and Path(output).suffix in (*SOURCES, ".h", ".hpp", ".o"):
+    if output is not None and Path(output).suffix in (*SOURCE_SUFFIXES, ".h", ".hpp", ".o"):
         raise ArgumentError(
             f"output {os.fspath(output)}: a library is written there, and this is the name of a source. Several sources are one "
             "list: build([a, b]); the output ends in .so."
@@ -165,8 +165,17 @@ def build(
         if metered:
             meter = f"{folder}/meter.o"
             _compile(
-                METER,
-                [*find_compiler().split(), "-c", "-fPIC", "-O2", f"-I{get_include_folder()}", str(METER), "-o", meter],
+                METER_SOURCE,
+                [
+                    *find_compiler().split(),
+                    "-c",
+                    "-fPIC",
+                    "-O2",
+                    f"-I{get_include_folder()}",
+                    str(METER_SOURCE),
+                    "-o",
+                    meter,
+                ],
             )
             flags = ("-fsanitize-coverage=trace-pc", meter, *flags)
         recipe = platforms.make_recipe(
@@ -312,7 +321,7 @@ def _suggest_files(names: Sequence[str], sources: Sequence[Path], platform: plat
     texts = {
         file: file.read_text(**platforms.ENCODING)
         for file in files
-        if file.suffix in SOURCES and file.is_file() and file.resolve() not in compiled
+        if file.suffix in SOURCE_SUFFIXES and file.is_file() and file.resolve() not in compiled
     }
     lines = []
     for name in dict.fromkeys(names):
@@ -441,10 +450,10 @@ def _list_files(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> li
 
 def are_sources(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> bool:
     """Return whether `firmware` consists of sources that must be built first."""
-    return all(str(file).endswith(SOURCES) for file in _list_files(firmware))
+    return all(str(file).endswith(SOURCE_SUFFIXES) for file in _list_files(firmware))
 
 
-def find_library(
+def find_or_build_library(
     firmware: str | os.PathLike | Sequence[str | os.PathLike],
     flags: Sequence[str] = (),
     platform: str | None = None,
@@ -481,7 +490,7 @@ def find_library(
         )
     if len(firmware_files) > 1:
         raise ArgumentError(
-            f"{', '.join(map(str, firmware_files))}: give one library, or sources only ({', '.join(SOURCES)})."
+            f"{', '.join(map(str, firmware_files))}: give one library, or sources only ({', '.join(SOURCE_SUFFIXES)})."
         )
     return check_library(firmware_files[0])
 
@@ -590,7 +599,7 @@ class Library:
         LibraryError: The file cannot be loaded, is no firmware, or does not count its basic blocks.
     """
 
-    def __init__(self, path: Path, link: Link, cost: int = 0, wiring: PinWiring = NO_PINS):
+    def __init__(self, path: Path, link: Link, cost: int = 0, wiring: PinWiring = EMPTY_WIRING):
         self.path, self._link, self._cost, self._wiring = path, link, cost, wiring
         self._lines = wiring.lines
         self._pin_use: np.ndarray | None = None
@@ -660,7 +669,8 @@ class Library:
         except ValueError:
             raise LibraryError(
                 f"{self.path} does not count what it computes, so cost= (--cost) has nothing to go by: give the sources in place "
-                f"of the library, or build it with -fsanitize-coverage=trace-pc, and with an object of {METER} that is compiled "
+                f"of the library, or build it with -fsanitize-coverage=trace-pc, and with an object of {METER_SOURCE} "
+                f"that is compiled "
                 "without."
             ) from None
         words[0], words[1] = 0, interval
@@ -701,10 +711,10 @@ class Library:
         """Return the signs that lines of axes are at the wrong pins of the firmware."""
         if self._pin_use is None:
             return ()
-        silent = find_silent_serial_lines(self._serial_use[0])
+        silent = find_disabled_transmitters(self._serial_use[0])
         if not (self._lines or self._pin_use.view("u1").any()):
             return silent
-        use = FirmwareUse(self._pin_use[0], self._pin_reads[0], tuple(self._board_pins))
+        use = FirmwarePinUse(self._pin_use[0], self._pin_reads[0], tuple(self._board_pins))
         return find_firmware_wiring_findings(self._table, self._wiring, use, self._link.stage) + silent
 
     def _find_variable(self, c_type: Any, name: str) -> Any:

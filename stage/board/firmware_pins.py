@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.board.bus.serial_core import LINES
+from stage.board.bus.serial_core import SERIAL_LINE_COUNT
 from stage.board.pin_assignment import (
-    DRIVEN,
+    DRIVEN_LINE_PINS,
     UART_LINE,
     PinLine,
     PinUse,
@@ -24,7 +24,7 @@ from stage.chips.stepdir.line_names import POWER_STAGE_OUTPUTS
 from stage.errors import ArgumentError
 from stage.sim.stage import Stage
 
-LINE = np.dtype(
+PIN_LINE = np.dtype(
     [("chip", "i8"), ("pins", "i8")]
     + [(name, "i4") for name in ("pin", "is_number", "inverted", "driven", "released", "place")]
 )
@@ -38,11 +38,11 @@ PIN_READS = np.dtype([("refusals", "i4"), ("reads", "u1", (LAST_PIN + 1,))])
 """`struct pulsestage_pin_reads` of pulsestage.h."""
 LINE_READ, PIN_READ, PORT_READ = 1, 2, 4
 """Bits of `reads`: the pin has a line; it has none; it has none and was read with the other pins of its port."""
-SOFTWARE_LINE = 4
+FIRST_SOFTWARE_SERIAL = 4
 """First line of SoftwareSerial."""
-SERIAL_USE = np.dtype([("unsent", "u4", (LINES,))])
+SERIAL_USE = np.dtype([("unsent", "u4", (SERIAL_LINE_COUNT,))])
 """`struct pulsestage_serial_use` of pulsestage.h."""
-PULLED = ("enable",)
+PULLED_LINES = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
 SWITCHES = ("limit", "limit_plus", "limit_minus", "origin")
 """Lines that stand for switches of the stage."""
@@ -51,7 +51,7 @@ DIAGNOSES = ("diag", "diag0", "diag1")
 _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
 
 
-class FirmwareUse(NamedTuple):
+class FirmwarePinUse(NamedTuple):
     """Pins that firmware has read and driven, as counted while it ran.
 
     Attributes:
@@ -117,24 +117,28 @@ def check_board_pins(lines: Sequence[PinLine], board_pins: Sequence[int]) -> Non
 
 
 def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
-    """Return the LINE records of the lines of axes that are connected to firmware pins, sorted by chip."""
-    table = np.zeros(len(lines), LINE)
+    """Return the PIN_LINE records of the lines of axes that are connected to firmware pins, sorted by chip."""
+    table = np.zeros(len(lines), PIN_LINE)
     for place, (row, line) in enumerate(zip(table, lines, strict=True)):
         chip = stage.axes[line.axis].chip
         row["chip"], row["pins"] = list(stage.chips).index(chip), line.get_mask(chip)
         row["pin"], row["is_number"] = _parse_pin(line)
-        row["inverted"], row["driven"], row["released"] = line.inverted, line.line in DRIVEN, line.line in PULLED
+        row["inverted"], row["driven"], row["released"] = (
+            line.inverted,
+            line.line in DRIVEN_LINE_PINS,
+            line.line in PULLED_LINES,
+        )
         row["place"] = place
     return np.sort(table, order="chip", kind="stable")
 
 
 def find_firmware_wiring_findings(
-    table: np.ndarray, wiring: PinWiring, firmware: FirmwareUse, stage: Stage
+    table: np.ndarray, wiring: PinWiring, firmware: FirmwarePinUse, stage: Stage
 ) -> tuple[WiringFinding, ...]:
     """Return the signs that lines of axes are at the wrong pins of the firmware.
 
     Args:
-        table: LINE records as the firmware has them, in the order of the wiring's lines.
+        table: PIN_LINE records as the firmware has them, in the order of the wiring's lines.
         wiring: Lines of axes at its pins.
         firmware: Its use of pins.
         stage: Stage with the axes.
@@ -160,7 +164,7 @@ def find_firmware_wiring_findings(
 
 
 def _find_unconnected_outputs(
-    table: np.ndarray, wiring: PinWiring, firmware: FirmwareUse, stage: Stage
+    table: np.ndarray, wiring: PinWiring, firmware: FirmwarePinUse, stage: Stage
 ) -> Iterable[WiringFinding]:
     """Yield a finding for each axis whose power stage has outputs at no pin, while the program reads pins that nothing drives.
 
@@ -204,7 +208,7 @@ def _find_useless_outputs(
             yield WiringFinding(line.axis, f"The program reads {line.axis}.{line.line} = {line.pin}, and {reason}.")
 
 
-def _name_undriven_inputs(table: np.ndarray, firmware: FirmwareUse) -> list[str]:
+def _name_undriven_inputs(table: np.ndarray, firmware: FirmwarePinUse) -> list[str]:
     """Return the names of the pins and ports that a program reads where no line is; see `find_firmware_wiring_findings`."""
     reads, has_ports = firmware.reads["reads"], bool(firmware.pins["has_ports"])
     numbers = {bit: number for number, bit in reversed(list(enumerate(firmware.board_pins)))}
@@ -219,7 +223,7 @@ def _name_undriven_inputs(table: np.ndarray, firmware: FirmwareUse) -> list[str]
     return names + [f"port {port}" for port in ports]
 
 
-def find_silent_serial_lines(use: Any) -> tuple[WiringFinding, ...]:
+def find_disabled_transmitters(use: Any) -> tuple[WiringFinding, ...]:
     """Return the serial lines over which a program has sent bytes while its transmitter was off.
 
     Args:
@@ -228,7 +232,7 @@ def find_silent_serial_lines(use: Any) -> tuple[WiringFinding, ...]:
     findings = []
     for number in np.flatnonzero(use["unsent"]).tolist():
         name = name_serial_line(number)
-        in_c = f", or in C for an AVR set TXEN{number} in UCSR{number}B" if number < SOFTWARE_LINE else ""
+        in_c = f", or in C for an AVR set TXEN{number} in UCSR{number}B" if number < FIRST_SOFTWARE_SERIAL else ""
         text = (
             f"The program sent {int(use['unsent'][number]):,} bytes over {name} while its transmitter was off, so that none left "
             f"the pin: call {name}.begin before{in_c}."
@@ -255,7 +259,7 @@ def _find_unread_switches(
     """Yield a remark about each asserted switch, and each stall output, of an axis with lost steps that the program never read.
 
     Args:
-        table: LINE records as the firmware has them.
+        table: PIN_LINE records as the firmware has them.
         lines: The lines, in the order of `table`.
         reads: How the program has read each pin.
         stage: Stage with the axes.

@@ -19,14 +19,14 @@ from stage.board.errors import HostError, StormError
 from stage.board.interrupt_hooks import PythonInterruptHooks
 from stage.board.memory_mapped_ports import explain_missing_windows
 from stage.errors import StageError
-from stage.native import without_attributes
+from stage.native import remove_attribute_access
 from stage.sim import compiled_stage_access, engine_records
 
 if TYPE_CHECKING:
     from stage.board.board import Board
     from stage.board.isolation.traps.memory_windows import MemoryWindows
 
-NOTED = 1 << 14  # edges and writes between two calls of Python
+NOTE_BUFFER_ROWS = 1 << 14  # edges and writes between two calls of Python
 UNBOUNDED = 1 << 62
 THREAD_WAIT_S = 0.05  # of real time, in which threads without a mutex meet on the bus
 UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
@@ -62,9 +62,9 @@ class Link:
         self._left: list[np.ndarray] = []
         self._call = UPCALL(self._answer_call)
         self._answers: dict[int, Callable[[Any], Any]] = {
-            host_record.DIVERGED: self._undo_divergence, host_record.STORM: self._report_storm,
-            host_record.REFUSED: self._report_refusal, host_record.COLLIDED: self._report_collision,
-            host_record.ANOTHER_STACK: self._wait_for_others, host_record.LINE_OF_LOG: self._note_line,
+            host_record.DIVERGED: self._undo_divergence, host_record.STORM: self._raise_storm_error,
+            host_record.REFUSED: self._raise_refusal_error, host_record.COLLIDED: self._raise_collision_error,
+            host_record.ANOTHER_STACK: self._wait_for_others, host_record.LINE_OF_LOG: self._add_log_line,
             host_record.CHECK_WRITE: self._check_write, host_record.WINDOW_REQUEST: self._answer_window_request,
             host_record.DEVICE_CALLED: self._call_device, host_record.RUN_IN_PYTHON: self._run_stage,
         }  # fmt: skip
@@ -73,15 +73,15 @@ class Link:
         self.hooks = PythonInterruptHooks(self)
 
     @property
-    def traced(self) -> int:
+    def traced_lines(self) -> int:
         """Number of lines that the bus trace has got so far."""
         return int(self.record["traced"])
 
     def _make_record(self) -> None:
         """Create the HOST record and the arrays to which it points."""
         stage = self.stage
-        if len(stage.state.edges) < NOTED:
-            stage.state.set_edge_buffer(np.zeros(NOTED, engine_records.EDGE))
+        if len(stage.state.edges) < NOTE_BUFFER_ROWS:
+            stage.state.set_edge_buffer(np.zeros(NOTE_BUFFER_ROWS, engine_records.LOGGED_EDGE))
         self._rows = np.zeros(1, host_record.HOST)
         self.use_record(self._rows)
         h = self.record
@@ -257,7 +257,7 @@ class Link:
         rows[:] = self._rows
         self._rows, self.pointer = rows, rows.ctypes.data
         rows["own"] = self.pointer
-        self.record = rows.view(without_attributes(host_record.HOST))[0]
+        self.record = rows.view(remove_attribute_access(host_record.HOST))[0]
 
     # --- calls from compiled code ---
 
@@ -268,7 +268,7 @@ class Link:
         if (lock := self.stage.loop.lock) is None:
             self._handle_call(reason)
         else:  # the thread that runs the firmware has the lock, and waits
-            with lock.acting_for_owner():
+            with lock.act_for_owner():
                 self._handle_call(reason)
         if self.pause is not None and (reason == host_record.PAUSE or self.record["stopped"]):
             self.pause()
@@ -295,15 +295,15 @@ class Link:
         """Advance the stage in Python to the time that compiled code requests."""
         self.stage.run_to(int(h["call_value"]))
 
-    def _report_storm(self, h: Any) -> None:
+    def _raise_storm_error(self, h: Any) -> None:
         """Raise StormError for an interrupt hook that is called again and again."""
         raise StormError(f"{self.hooks.describe_storm(int(h['call_value']))}\n{self.board.trace.text(8)}")
 
-    def _report_refusal(self, h: Any) -> None:
+    def _raise_refusal_error(self, h: Any) -> None:
         """Raise HostError for a host request whose operands are out of range."""
         raise HostError(self.hooks.describe_refusal(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"])))
 
-    def _report_collision(self, h: Any) -> None:
+    def _raise_collision_error(self, h: Any) -> None:
         """Raise HostError because two threads of the firmware have made requests at once."""
         raise HostError(
             "two threads of the firmware made bus cycles at the same time, or a handler of signals (setitimer, alarm) made "
@@ -327,7 +327,7 @@ class Link:
             )
         time.sleep(THREAD_WAIT_S)
 
-    def _note_line(self, h: Any) -> None:
+    def _add_log_line(self, h: Any) -> None:
         """Add a line that the firmware has printed by ps_log to the log."""
         if not h["call_value"]:
             raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
@@ -352,7 +352,7 @@ class Link:
         now = self.stage.now + int(h["ahead"])
         data = (0xFF if kind == host_record.IN8 else 0xFFFF) if reads else value
         port = self.board.devices[index].get_board_port(register)
-        buffer[self.traced % len(buffer)] = (now, now, 1, kind | host_record.RAISED, port, data)
+        buffer[self.traced_lines % len(buffer)] = (now, now, 1, kind | host_record.RAISED, port, data)
         h["traced"] += 1
         h["changed"] = h["traced"]
 

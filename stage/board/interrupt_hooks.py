@@ -15,12 +15,12 @@ import numpy as np
 from stage.board.bus import host_record, host_requests, interrupt_controller, serial_core
 from stage.board.errors import HostError
 from stage.errors import ArgumentError
-from stage.native import without_attributes
+from stage.native import remove_attribute_access
 
 if TYPE_CHECKING:
     from stage.board.host_record_link import Link
 
-HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+HOOK_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 PYTHONS_TIMERS = range(
     interrupt_controller.FIRST_PYTHON_TIMER,
     interrupt_controller.FIRST_PYTHON_TIMER + interrupt_controller.PYTHON_TIMERS,
@@ -40,26 +40,29 @@ class PythonInterruptHooks:
     def __init__(self, link: Link):
         self._link = link
         self.functions: dict[int, Callable[[], None]] = {}
-        self._trampoline = HOOK(self._call_from_compiled_code)
+        self._trampoline = HOOK_TYPE(self._call_from_compiled_code)
         self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
         self._left: list[np.ndarray] = []
-        self.sources = np.zeros(interrupt_controller.SOURCES, without_attributes(interrupt_controller.SOURCE))
+        self.sources = np.zeros(interrupt_controller.SOURCE_COUNT, remove_attribute_access(interrupt_controller.SOURCE))
         self.use_table(self.sources)
 
     def use_table(self, sources: np.ndarray) -> None:
         """Use the array `sources` as the table from now on. Abandoned firmware keeps the old table, which then has no effect."""
         sources[:] = self.sources
-        self.sources, self._hooks = sources, np.zeros(interrupt_controller.HOOKS, interrupt_controller.HOOK_CALLED)
+        self.sources, self._hooks = (
+            sources,
+            np.zeros(interrupt_controller.MAX_HOOK_CALLS, interrupt_controller.HOOK_CALL),
+        )
         self._left += [sources, self._hooks]
         h = self._link.record
         h["sources"], h["hooks"] = sources.ctypes.data, self._hooks.ctypes.data
         h["serving"] = h["level"] = 0
-        self.update_interrupts()
+        self.apply_source_table()
 
-    def update_interrupts(self) -> None:
+    def apply_source_table(self) -> None:
         """Make compiled code apply a changed table."""
         self._link.record["quiet"] = 0
-        host_requests.update_interrupts.c(self._link.pointer)
+        host_requests.apply_source_table.c(self._link.pointer)
 
     def set_hook(
         self, source: int, function: Callable[[], None] | None, interrupt_mask: int = 0, level: int = 1, period: int = 0
@@ -87,16 +90,16 @@ class PythonInterruptHooks:
         row["level"], row["interrupt_mask"], row["period"] = level, interrupt_mask, period if function else 0
         row["pending"] = row["missed"] = 0
         row["next"] = self._link.stage.now + period
-        self.update_interrupts()
+        self.apply_source_table()
 
     def remove_firmware_hooks(self) -> None:
         """Remove the hooks of firmware that has ended, and restore those of Python."""
-        others = [k for k in range(interrupt_controller.SOURCES) if k not in self.functions]
+        others = [k for k in range(interrupt_controller.SOURCE_COUNT) if k not in self.functions]
         self.sources[others] = np.zeros((), self.sources.dtype)
         self.point_to_python(self.functions)
         h = self._link.record
         h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = h["stack_checks"] = 0
-        self.update_interrupts()
+        self.apply_source_table()
 
     def point_to_python(self, functions: Collection[int], keep: bool = False) -> None:
         """Let the interrupt sources with hooks in Python call these hooks.
@@ -113,13 +116,13 @@ class PythonInterruptHooks:
             row = self.sources[source]
             row["hook"], row["argument"] = self.pointer if source in functions else 0, source
             row["interrupt_mask"], row["level"] = -1, 1
-        self.update_interrupts()
+        self.apply_source_table()
 
     def call_hook(self, source: int) -> None:
         """Call the Python hook of an interrupt source, at the highest interrupt level."""
         h, loop = self._link.record, self._link.stage.loop
         before, keeps = (h["level"], h["lazy"]), loop.state_refusal
-        h["level"], h["lazy"] = interrupt_controller.HIGHEST, 0
+        h["level"], h["lazy"] = interrupt_controller.HIGHEST_LEVEL, 0
         name = format_source_name(source)
         loop.state_refusal = (
             f"the hook of {name} runs, and what it interrupts goes on from here: do that when it is over."
@@ -163,7 +166,7 @@ class PythonInterruptHooks:
         again = f"{hook} was called {host_record.STORM_CALLS:,} times in a row {at} and"
         if period := int(self.sources[source]["period"]):
             return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
-        if source >= interrupt_controller.FIRST_SOFTWARE:
+        if source >= interrupt_controller.FIRST_SOFTWARE_SOURCE:
             return f"{again} is raised again: it raises itself (ps_raise)."
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
@@ -181,18 +184,20 @@ class PythonInterruptHooks:
             "a period 0 (off) to 1e18 ns",
             host_record.ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts "
             f"PS_SOFTWARE(0) to PS_SOFTWARE({interrupt_controller.SOFTWARE - 1})",
-            host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupt_controller.HIGHEST}",
+            host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupt_controller.HIGHEST_LEVEL}",
             **dict.fromkeys(
                 (host_record.SET_LINES, host_record.READ_LINES, host_record.WATCH_LINES),
                 f"lines of chip {a}: this stage has chips 0 to {len(self._link.stage.chips) - 1}",
             ),
             **dict.fromkeys(
                 (host_record.SEND_SERIAL, host_record.READ_SERIAL, host_record.SET_SERIAL_RATE),
-                f"serial line {a}: a board has serial lines 0 to {serial_core.LINES - 1}",
+                f"serial line {a}: a board has serial lines 0 to {serial_core.SERIAL_LINE_COUNT - 1}",
             ),
             host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupt_controller.SOFTWARE - 1}",
         }
-        level_error = f"level {b} of {_name_request(code, a)}: levels of hooks are 1 to {interrupt_controller.HIGHEST}"
+        level_error = (
+            f"level {b} of {_name_request(code, a)}: levels of hooks are 1 to {interrupt_controller.HIGHEST_LEVEL}"
+        )
         return f"{bounds.get(code, level_error)}; at {self._link.stage.time:.6f} s."
 
     def check_hooks_have_returned(self) -> None:
@@ -216,7 +221,7 @@ def format_source_name(source: int) -> str:
     if source == interrupt_controller.ANY_INTERRUPT_LINE:
         return "the interrupt line"
     for first, name, after in (
-        (interrupt_controller.FIRST_SOFTWARE, "software interrupt", ""),
+        (interrupt_controller.FIRST_SOFTWARE_SOURCE, "software interrupt", ""),
         (interrupt_controller.FIRST_PYTHON_TIMER, "timer", " of Python"),
         (interrupt_controller.FIRST_TIMER, "timer", ""),
     ):  # fmt: skip
@@ -231,6 +236,6 @@ def _name_request(code: int, which: int) -> str:
         return f"timer {which}"
     return (
         f"line {which}"
-        if which < interrupt_controller.SOFTWARE_LINE
-        else f"PS_SOFTWARE({which - interrupt_controller.SOFTWARE_LINE})"
+        if which < interrupt_controller.FIRST_SOFTWARE_LINE
+        else f"PS_SOFTWARE({which - interrupt_controller.FIRST_SOFTWARE_LINE})"
     )

@@ -1,7 +1,7 @@
 """Windows: ports of a board at addresses, for firmware whose chips are memory-mapped.
 
     --map 0x40021000=0x300+0x40            40h ports, from 300h on, at 40021000h and up
-    Window(0x40021000, 0x300, 0x40)        the same in Python
+    MemoryWindow(0x40021000, 0x300, 0x40)        the same in Python
 
 An access of 8, 16 or 32 bits at `address + n` is a bus cycle at `port + n`.
 """
@@ -20,12 +20,12 @@ from stage.errors import ArgumentError
 
 FORM = "ADDRESS=PORT+LENGTH, for example 0x40021000=0x300+0x40"
 ADDRESS_LIMIT = 1 << 47
-PROXIES = "use the registers of pulsestage_mmio.hpp, or macros: docs/memory_mapped.md"
+PROXY_HINT = "use the registers of pulsestage_mmio.hpp, or macros: docs/memory_mapped.md"
 _NUMBER = r"(0[xX][0-9a-fA-F]+|[0-9]+)"
 _TEXT = re.compile(rf"\s*{_NUMBER}\s*=\s*{_NUMBER}\s*\+\s*{_NUMBER}\s*")
 
 
-class Window(NamedTuple):
+class MemoryWindow(NamedTuple):
     """Range of addresses that maps to ports of a board.
 
     Attributes:
@@ -62,16 +62,19 @@ def explain_missing_windows(isolated: bool) -> str:
         isolated: Whether the firmware runs in a separate process.
     """
     if is_supported() and not isolated:
-        return f"windows of memory-mapped registers need a process of the firmware's own: isolated=True, the default; or {PROXIES}."
+        return (
+            f"windows of memory-mapped registers need a process of the firmware's own: isolated=True, the default; "
+            f"or {PROXY_HINT}."
+        )
     where = f"{platform.system()} on {platform.machine()}"
-    return f"windows of memory-mapped registers need Linux on x86-64, and this is {where}: {PROXIES}."
+    return f"windows of memory-mapped registers need Linux on x86-64, and this is {where}: {PROXY_HINT}."
 
 
-def parse_windows(windows: Windows = ()) -> tuple[Window, ...]:
+def parse_windows(windows: Windows = ()) -> tuple[MemoryWindow, ...]:
     """Parse one or several windows of memory-mapped registers.
 
     Args:
-        windows: A Window, a tuple (address, port, length), a text `ADDRESS=PORT+LENGTH` with decimal or hexadecimal
+        windows: A MemoryWindow, a tuple (address, port, length), a text `ADDRESS=PORT+LENGTH` with decimal or hexadecimal
             (0x) numbers, or several of these.
 
     Returns:
@@ -83,9 +86,11 @@ def parse_windows(windows: Windows = ()) -> tuple[Window, ...]:
     if isinstance(windows, str) or (isinstance(windows, tuple) and len(windows) == 3 and isinstance(windows[0], int)):
         windows = (windows,)
     try:
-        parsed = sorted(_check_window(Window(*_parse_numbers(one))) for one in windows)
+        parsed = sorted(_check_window(MemoryWindow(*_parse_numbers(one))) for one in windows)
     except TypeError:
-        raise ArgumentError(f"map={windows!r}: a window is a Window(address, port, length), or text: {FORM}.") from None
+        raise ArgumentError(
+            f"map={windows!r}: a window is a MemoryWindow(address, port, length), or text: {FORM}."
+        ) from None
     for one, other in pairwise(parsed):
         if other.address < one.end:
             raise ArgumentError(f"windows {one} and {other} overlap: an address can lead to one port only.")
@@ -104,7 +109,7 @@ def _parse_numbers(one: Any) -> Iterable[int]:
     return (int(n, 16) if n[:2] in ("0x", "0X") else int(n) for n in match.groups())
 
 
-def _check_window(window: Window) -> Window:
+def _check_window(window: MemoryWindow) -> MemoryWindow:
     """Return the window. Raises ArgumentError for ports or addresses that do not exist."""
     if window.length < 1:
         raise ArgumentError(f"window {window}: its length is 1 port or more.")

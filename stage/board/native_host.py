@@ -19,13 +19,13 @@ from typing import Protocol, Self
 
 from stage.board import firmware_library, memory_mapped_ports
 from stage.board.board import Board
-from stage.board.bus.serial_core import LINES
+from stage.board.bus.serial_core import SERIAL_LINE_COUNT
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
 from stage.board.firmware_pins import parse_firmware_pins
 from stage.board.host_record_link import UNBOUNDED
 from stage.board.pacing import RealTimePace
-from stage.board.pin_assignment import NO_PINS, PinWiring, WiringFinding
+from stage.board.pin_assignment import EMPTY_WIRING, PinWiring, WiringFinding
 from stage.board.serial_line import SerialPort
 from stage.board.temporary_folders import TemporaryFolder
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
@@ -34,7 +34,7 @@ from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
 DEFAULT_MAX_CYCLES = 1_000_000_000
-SHOWN_CYCLES = 12  # lines of the trace in messages
+LISTED_CYCLES = 12  # lines of the trace in messages
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class Host:
     @property
     def wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Signs that lines of axes are at the wrong pins of the firmware, as of the last pause or end."""
-        return self._runner.wiring_findings + (self._uart_wiring.find_findings() if self._uart_wiring else ())
+        return self._runner.wiring_findings + (self._uart_wiring.find_wiring_findings() if self._uart_wiring else ())
 
     @property
     def wiring_problems(self) -> tuple[str, ...]:
@@ -242,7 +242,7 @@ class Host:
         """Abandon paused firmware. A separate process ends. A thread of this process cannot be ended: it waits forever,
         and its code stays in memory."""
         if self.running:
-            self.board.stage.loop.check_state_allowed()
+            self.board.stage.loop.check_state_change_allowed()
         self.is_closed = True
         self._runner.close()
 
@@ -266,7 +266,7 @@ class Host:
         board, stage = self.board, self.board.stage
         if int(max_cycles) != max_cycles or max_cycles < 1:
             raise ArgumentError(f"max_cycles={max_cycles!r}: a whole number of bus cycles, 1 or more.")
-        stage.loop.check_state_allowed()
+        stage.loop.check_state_change_allowed()
         if not self.running:
             if board.driver is not None and board.driver.running:
                 raise StageError(
@@ -307,7 +307,7 @@ class Host:
         """Return the error for firmware that has not returned within its limits."""
         board = self.board
         return HostTimeout(
-            f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.format_ending(SHOWN_CYCLES)}"
+            f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.format_ending(LISTED_CYCLES)}"
         )
 
 
@@ -323,9 +323,9 @@ class NativeProgram:
     """
 
     path: Path
-    windows: tuple[memory_mapped_ports.Window, ...] = ()
+    windows: tuple[memory_mapped_ports.MemoryWindow, ...] = ()
     cost: int = 0
-    wiring: PinWiring = NO_PINS
+    wiring: PinWiring = EMPTY_WIRING
 
     def load(self, board: Board, isolated: bool) -> LoadedProgram:
         """Load a copy of the library for a board.
@@ -373,7 +373,7 @@ class NativeHost(Host):
         CompileError, NoCompilerError: See `build`.
     """
 
-    SERIAL_LINES = LINES
+    SERIAL_LINES = SERIAL_LINE_COUNT
 
     def __init__(  # noqa: PLR0913  each is one property of the firmware or of its wiring
         self,
@@ -400,7 +400,7 @@ class NativeHost(Host):
             TemporaryFolder() if firmware_library.are_sources(firmware) else None
         )  # what is built goes with the host
         folder = self._scratch.path if self._scratch else None
-        path = firmware_library.find_library(firmware, flags, platform, folder, cost > 0, libraries)
+        path = firmware_library.find_or_build_library(firmware, flags, platform, folder, cost > 0, libraries)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12), wiring), board, isolated, patience)
         board.serial_lines.rows["is_wired"] = 1
         self._connect_uarts(wiring)

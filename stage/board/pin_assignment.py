@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from stage.chips import Chip
-from stage.chips.stepdir.line_names import DRIVEN, POWER_STAGE_OUTPUTS, READ, has_line
+from stage.chips.stepdir.line_names import DRIVEN_LINE_PINS, POWER_STAGE_OUTPUTS, READ_LINE_PINS, has_line
 from stage.errors import ArgumentError, unknown_name_error
 
 UART_LINE = "uart"
@@ -25,7 +25,7 @@ SERIAL_LINES = {
 }  # fmt: skip
 """Serial lines of a microcontroller by the names of Arduino, and their numbers; SoftwareSerial to SoftwareSerial4 are the first
 objects of a sketch in their order."""
-SHARED = ("enable", UART_LINE, *READ)
+SHAREABLE_LINES = ("enable", UART_LINE, *READ_LINE_PINS)
 """Lines of several axes that may be on one pin."""
 NO_PIN = "none"
 """What an entry says in place of a pin to take a line out of a preset."""
@@ -68,7 +68,7 @@ class PinLine(NamedTuple):
 
     def get_mask(self, chip: Chip) -> int:
         """Return the bits that the line has among the input pins of a chip."""
-        return sum(chip.INPUTS[name] for name in (DRIVEN | READ)[self.line])
+        return sum(chip.INPUTS[name] for name in (DRIVEN_LINE_PINS | READ_LINE_PINS)[self.line])
 
 
 def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case: bool = False) -> tuple[PinLine, ...]:
@@ -153,8 +153,8 @@ def _parse_entry(entry: str) -> PinLine:
         raise ArgumentError(f"--pins {entry!r}: write {FORM}, or one of {presets}.")
     if match["line"] == UART_LINE:
         return _parse_uart_entry(match)
-    if match["line"] not in DRIVEN | READ:
-        names = (*DRIVEN, *READ, UART_LINE)
+    if match["line"] not in DRIVEN_LINE_PINS | READ_LINE_PINS:
+        names = (*DRIVEN_LINE_PINS, *READ_LINE_PINS, UART_LINE)
         raise ArgumentError(f"--pins {entry!r}: {unknown_name_error('line', match['line'], names)}")
     return PinLine(match["axis"], match["line"], match["pin"], bool(match["invert"]))
 
@@ -208,7 +208,7 @@ def _check_pins(lines: Iterable[PinLine]) -> None:
     users: dict[str, PinLine] = {}
     for line in lines:
         other = users.setdefault(line.pin, line)
-        is_shared = line.line in SHARED and (line.line, line.inverted) == (other.line, other.inverted)
+        is_shared = line.line in SHAREABLE_LINES and (line.line, line.inverted) == (other.line, other.inverted)
         if other is not line and not is_shared:
             raise ArgumentError(
                 f"--pins: pin {line.pin} is used twice, by {other} and {line}. Give each line its own pin."
@@ -230,7 +230,7 @@ class PinWiring(NamedTuple):
     unconnected: tuple[tuple[str, str], ...] = ()
 
 
-NO_PINS = PinWiring()
+EMPTY_WIRING = PinWiring()
 
 
 def parse_wiring(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case: bool = False) -> PinWiring:

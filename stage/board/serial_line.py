@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, AnyStr, Protocol
 import numpy as np
 
 from stage.board.bus import serial_core
-from stage.board.bus.serial_core import NO_BYTE, ROOM
+from stage.board.bus.serial_core import LINE_BUFFER_SIZE, NO_BYTE
 from stage.board.devices.uart import UART
 from stage.errors import ArgumentError, RunTimeout, StageError
-from stage.native import address_of, without_attributes
+from stage.native import address_of, remove_attribute_access
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -46,15 +46,15 @@ class SerialLines:
     """
 
     def __init__(self, board: Board):
-        self.lines = tuple(SerialLine(board) for _ in range(serial_core.LINES))
-        rows = np.zeros(serial_core.LINES, serial_core.LINE)
+        self.lines = tuple(SerialLine(board) for _ in range(serial_core.SERIAL_LINE_COUNT))
+        rows = np.zeros(serial_core.SERIAL_LINE_COUNT, serial_core.SERIAL_LINE)
         rows["pausing_byte"] = NO_BYTE
         self.use_rows(rows)
 
     def use_rows(self, rows: np.ndarray) -> None:
         """Use another array of LINE records from now on; see `Link.use_serial_rows`."""
         self.rows = rows
-        for line, record in zip(self.lines, rows.view(without_attributes(serial_core.LINE)), strict=True):
+        for line, record in zip(self.lines, rows.view(remove_attribute_access(serial_core.SERIAL_LINE)), strict=True):
             line.record = record
 
     @property
@@ -94,11 +94,11 @@ class SerialLine:
         self.record["pausing_byte"] = value
 
     @property
-    def free(self) -> int:
+    def free_bytes(self) -> int:
         """Number of bytes that `feed` accepts now."""
-        return ROOM - self._count_bytes("fed", "removed")
+        return LINE_BUFFER_SIZE - self._count_bytes("fed", "removed")
 
-    def read_byte_ns(self) -> int:
+    def get_byte_time_ns(self) -> int:
         """Return the time of a byte at the rate that the firmware has set, ns; 0: it has set none."""
         return int(self.record["byte_ns"] or self.record["sent_byte_ns"])
 
@@ -107,7 +107,7 @@ class SerialLine:
         line, now = self.record, self._board.stage.now
         if line["fed"] == line["removed"]:
             line["due"] = max(int(line["due"]), now + int(line["byte_ns"]))
-        places = (int(line["fed"]) % ROOM + np.arange(len(content))) % ROOM
+        places = (int(line["fed"]) % LINE_BUFFER_SIZE + np.arange(len(content))) % LINE_BUFFER_SIZE
         line["incoming"][places] = np.frombuffer(content, np.uint8)
         line["fed"] += len(content)
 
@@ -115,7 +115,7 @@ class SerialLine:
         """Take all bytes that the firmware has sent since the last call."""
         line = self.record
         count = self._count_bytes("sent", "read")
-        places = (int(line["read"]) % ROOM + np.arange(count)) % ROOM
+        places = (int(line["read"]) % LINE_BUFFER_SIZE + np.arange(count)) % LINE_BUFFER_SIZE
         content = line["outgoing"][places].tobytes()
         line["read"] = line["sent"]
         return content
@@ -125,7 +125,7 @@ class SerialLine:
 
         Firmware may have overwritten the record, so the number is limited.
         """
-        return min(max(int(self.record[total]) - int(self.record[removed]), 0), ROOM)
+        return min(max(int(self.record[total]) - int(self.record[removed]), 0), LINE_BUFFER_SIZE)
 
 
 class UartLine:
@@ -142,9 +142,9 @@ class UartLine:
         self.is_wired, self.does_pause = True, False
 
     @property
-    def free(self) -> int:
+    def free_bytes(self) -> int:
         """Number of bytes that `feed` accepts now."""
-        return self._uart.free
+        return self._uart.free_bytes
 
     def feed(self, content: bytes) -> None:
         """Send bytes to the firmware, at most `free`."""
@@ -324,12 +324,12 @@ class SerialPort:
             self._unread += sent
             del self._unread[:-BUFFER_SIZE]
         else:
-            room = max(line.free - len(self._outgoing), 0)
+            room = max(line.free_bytes - len(self._outgoing), 0)
             now = self._host.board.stage.now
             if arrived := end.exchange(sent, now, room):
                 self.arrivals.append((now - self.connected_at, arrived))
                 self._outgoing += arrived
-        content = bytes(self._outgoing[: line.free])
+        content = bytes(self._outgoing[: line.free_bytes])
         del self._outgoing[: len(content)]
         if content:
             line.feed(content)

@@ -16,7 +16,7 @@ import select
 import socket
 from pathlib import Path
 
-from stage.board.bus.serial_core import NO_BYTE, ROOM
+from stage.board.bus.serial_core import LINE_BUFFER_SIZE, NO_BYTE
 from stage.board.serial_line import SerialEnd
 from stage.errors import ArgumentError, StageError
 
@@ -63,7 +63,7 @@ class ConnectedEnd(SerialEnd):
     def exchange(self, sent: bytes, now: int, room: int) -> bytes:
         """Write what the firmware has sent, and return what was received, at most `room` bytes."""
         self._unsent += sent
-        del self._unsent[:-ROOM]
+        del self._unsent[:-LINE_BUFFER_SIZE]
         received = self._read(room)
         if self._is_connected():
             self._was_connected = True

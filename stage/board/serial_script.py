@@ -21,7 +21,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
-from stage.board.bus.serial_core import NO_BYTE, ROOM
+from stage.board.bus.serial_core import LINE_BUFFER_SIZE, NO_BYTE
 from stage.board.errors import HostError
 from stage.board.serial_line import POLL_NS, SerialEnd, describe_last_bytes, to_bytes
 from stage.errors import ArgumentError
@@ -143,7 +143,7 @@ class SerialScript(SerialEnd):
         self._expected = b""
         self._begin: int | None = None
         self._is_over = False
-        self._room = ROOM
+        self._room = LINE_BUFFER_SIZE
         self._command = commands[0]
         self.ends_with_send = commands[-1].name == "send"
         self._steps = self._execute(commands)
@@ -183,10 +183,10 @@ class SerialScript(SerialEnd):
         """Return the time (ns) at which a wait ends or an `expect` fails, now if the script is over, or None."""
         return now if self._is_over else self._due
 
-    def describe_rest(self) -> str:
+    def describe_awaited_event(self) -> str:
         """Describe in words the event for which the script still waits."""
         if self._command.name == "send":
-            return f"the firmware has not received {ROOM - self._room:,} of its bytes"
+            return f"the firmware has not received {LINE_BUFFER_SIZE - self._room:,} of its bytes"
         return f"line {self._command.line} waits"
 
     def close(self) -> None:
@@ -213,7 +213,7 @@ class SerialScript(SerialEnd):
                         f"{(self._now - (self._begin or 0)) * 1e-9:g} s of the run. Use wait, or give a later time."
                     )
                 yield from self._wait_until(due)
-        while self.ends_with_send and self._room < ROOM:
+        while self.ends_with_send and self._room < LINE_BUFFER_SIZE:
             yield from self._wait_until(self._now + POLL_NS)
 
     def _wait_until(self, due: int) -> Generator[bytes, None, None]:

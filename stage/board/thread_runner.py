@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from stage.board.bus import host_record, host_requests
-from stage.board.bus.interrupt_controller import NEAR
+from stage.board.bus.interrupt_controller import MAX_FRAME_DISTANCE_BYTES
 from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
 from stage.board.host_record_link import UNBOUNDED
@@ -74,7 +74,7 @@ class Program(Protocol):
         ...
 
 
-def read_status(process: int | str) -> dict[str, str]:
+def read_process_status(process: int | str) -> dict[str, str]:
     """Return the fields of /proc/PID/status for a process or thread; empty on systems without that file."""
     try:
         lines = Path(f"/proc/{process}/status").read_text(errors="replace").splitlines()
@@ -85,7 +85,7 @@ def read_status(process: int | str) -> dict[str, str]:
 
 def is_debugged(process: int | str = "self") -> bool:
     """Return whether a debugger is attached to a process, which may then stop for a long time."""
-    return read_status(process).get("TracerPid", "0") != "0"
+    return read_process_status(process).get("TracerPid", "0") != "0"
 
 
 class ThreadRunner:
@@ -211,7 +211,11 @@ class ThreadRunner:
         link.firmware_thread, link.has_other_threads = threading.get_ident(), False
         code, failure, others = 0, None, list_native_threads()
         top, h = host_requests.get_stack_position.c(), link.record
-        h["stack_low"], h["stack_high"], h["stack_checks"] = top - STACK_SIZE, top + NEAR, STACK_CHECKS
+        h["stack_low"], h["stack_high"], h["stack_checks"] = (
+            top - STACK_SIZE,
+            top + MAX_FRAME_DISTANCE_BYTES,
+            STACK_CHECKS,
+        )
         try:
             with self._prepare_thread():
                 code = int(loaded.main())

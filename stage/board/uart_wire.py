@@ -121,7 +121,7 @@ class UartWire(SerialEnd):
 
     def _pass_replies_on(self) -> bytes:
         """Pass the bytes that each chip has sent to all other chips on the wire, and return these bytes."""
-        if any(uart.is_replying and self._ends_soon(uart) for uart in self._uarts):
+        if any(uart.is_replying and self._is_byte_ending(uart) for uart in self._uarts):
             return b""  # a byte of another chip overlaps with those that have ended
         replies = [uart.read() for uart in self._uarts]
         if not any(replies):
@@ -135,7 +135,7 @@ class UartWire(SerialEnd):
         return received
 
     @staticmethod
-    def _ends_soon(uart: ChipUart) -> bool:
+    def _is_byte_ending(uart: ChipUart) -> bool:
         """Return whether the next byte of a chip has begun, and ends within half of its time."""
         ns = uart.find_next_byte_ns()
         return ns is not None and 0 < ns < BITS_PER_BYTE * SECOND // (2 * uart.baud)

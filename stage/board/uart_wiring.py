@@ -65,14 +65,14 @@ class UartWiring:
                 f"--pins {axes[0]}.uart={name_serial_line(number)}: the serial lines of {self._host.path.name} are {names}. "
                 "Choose one of them."
             )
-        read_byte_ns = self._host.board.serial_lines.lines[number].read_byte_ns
+        read_byte_ns = self._host.board.serial_lines.lines[number].get_byte_time_ns
         wire = UartWire([self._chips[axis].uart for axis in axes], read_byte_ns)
         self._host.get_serial_port(number).connect(wire)
         return ConnectedLine(number, axes, wire)
 
-    def find_findings(self) -> tuple[WiringFinding, ...]:
+    def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Return the signs that UARTs are at the wrong serial lines, or have addresses that do not fit."""
-        return (*self._find_equal_addresses(), *self._find_deaf_chips(), *self._find_unconnected_uarts())
+        return (*self._find_equal_addresses(), *self._find_unaddressed_chips(), *self._find_unconnected_uarts())
 
     def _find_equal_addresses(self) -> Iterator[WiringFinding]:
         """Yield a problem for each wire on which several chips have replied at once."""
@@ -86,7 +86,7 @@ class UartWiring:
                 )
                 yield WiringFinding("", text)
 
-    def _find_deaf_chips(self) -> Iterator[WiringFinding]:
+    def _find_unaddressed_chips(self) -> Iterator[WiringFinding]:
         """Yield a finding for each chip that has understood nothing of what the firmware has sent over any serial line."""
         ports = self._host.get_open_serial_ports()
         for number, axes, wire in self._lines:

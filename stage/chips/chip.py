@@ -22,7 +22,7 @@ import numpy as np
 
 from stage.chips import contract_check
 from stage.chips.cycle_descriptions import CycleDescriber, Decoder
-from stage.chips.exclusive_access import SessionLock, exclusive, exclusively, with_lock
+from stage.chips.exclusive_access import SessionLock, exclusive, get_stage_lock, with_lock
 from stage.chips.journal import Journal
 from stage.chips.observer_attributes import make_observer_attribute
 from stage.chips.register_map import RegisterMap, Word, dump
@@ -37,7 +37,7 @@ from stage.chips.write_diagnostics import (
     parse_diagnostics,
 )
 from stage.errors import ArgumentError, StageError, add_article, find_similar_names, unknown_name_error
-from stage.native import without_attributes
+from stage.native import remove_attribute_access
 from stage.support import snapshots
 from stage.support.argument_checks import explain_arguments
 from stage.support.declared_attributes import DeclaredAttributes, UnknownAttribute
@@ -115,7 +115,7 @@ class Pins:
             raise UnknownAttribute(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(self._inputs)}.")
         if value not in (False, True):  # a text such as "no" would count as asserted
             raise ArgumentError(f"pins.{name} = {value!r}: a pin is asserted or not; give True or False.")
-        with exclusively(chip):
+        with get_stage_lock(chip):
             word = chip.input_word(self._axis)
             bit = self._inputs[name]
             new = word | bit if value else word & ~bit
@@ -355,7 +355,7 @@ class Chip(DeclaredAttributes):
         """Use record `index` of `rows` as the state."""
         self._rows, self._i = rows, index
         self._address = rows.ctypes.data + index * rows.itemsize
-        self._record = rows.view(without_attributes(rows.dtype))[index]
+        self._record = rows.view(remove_attribute_access(rows.dtype))[index]
 
     @property
     def pointer(self) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from stage.chips.core_interface import ANSWERS, OPTIONAL
 from stage.chips.register_map import Register, RegisterMap, Word
 from stage.errors import ArgumentError
-from stage.native import Exported, array_of
+from stage.native import ExportedFunction, array_of
 
 _CHECKED: set[tuple[type, bool]] = set()
 REQUIRED_RECORDS = {
@@ -266,7 +266,7 @@ def _check_functions(core: Any, chip: Any) -> list[str]:
             continue
         if present is None:
             problems.append(f"its core {_name_core(core)} has no answer {name}, @exported({words})")
-        elif not isinstance(present, Exported) or present.result != result or present.arguments != wanted:
+        elif not isinstance(present, ExportedFunction) or present.result != result or present.arguments != wanted:
             problems.append(f"the answer {name} of its core {_name_core(core)} is not declared @exported({words})")
     return problems
 

@@ -29,11 +29,11 @@ class SessionLock(Protocol):
 
     def __exit__(self, *exc: object) -> None: ...
 
-    def acting_for_owner(self) -> AbstractContextManager[Any]:
+    def act_for_owner(self) -> AbstractContextManager[Any]:
         """Let this thread act for the owner of the lock, which waits for it: firmware runs on a thread of its own."""
 
 
-def exclusively(owner: Any) -> AbstractContextManager[Any]:
+def get_stage_lock(owner: Any) -> AbstractContextManager[Any]:
     """Return the lock of the stage to which `owner` belongs, or a context that does nothing while no session is open."""
     return getattr(owner, "lock", None) or UNSHARED
 

@@ -120,12 +120,12 @@ class Journal:
         self._start, self.entries = self.chip.state.tobytes(), Entries()
 
     @property
-    def start(self) -> np.record:
+    def start_state(self) -> np.record:
         """State of the chip when the journal began, a record of its core's STATE."""
         return np.frombuffer(self._start, self.chip.CORE.STATE)[0]
 
     @property
-    def until(self) -> int:
+    def end_clock(self) -> int:
         """Clock at which the waveforms end: that of `close()`, or the chip's present clock."""
         return self.chip.clock if self._end is None else self._end
 
@@ -150,10 +150,10 @@ class Journal:
         Raises:
             ArgumentError: `size` is below 64.
         """
-        return Replay(self).replay_in_pieces(every_pulse, size)
+        return GrowingJournalReplay(self).replay_in_pieces(every_pulse, size)
 
 
-class Replay:
+class GrowingJournalReplay:
     """Replay of a journal that is still growing."""
 
     def __init__(self, journal: Journal):
@@ -184,7 +184,7 @@ class Replay:
         chip = self._rows.ctypes.data
         out, done = np.zeros(size, core.EDGE), np.zeros(1, np.int64)
         at, row, count = out.ctypes.data, out.itemsize, done.ctypes.data
-        end, entries = self._journal.until, self._journal.entries[self._applied :]
+        end, entries = self._journal.end_clock, self._journal.entries[self._applied :]
         self._applied += len(entries)
         core.write_present_edge.c(chip, axis, at, size, 0)
         k = 1
@@ -223,7 +223,7 @@ def _split_at_shafts(entries: Entries) -> Iterator[tuple[Entry | None, ShaftEntr
         Each other entry, with the entries of shafts and wires before it. The last pair has None as its entry. An entry of wires
         has its word, negated, in place of the axis.
     """
-    packed = entries.packed()
+    packed = entries.to_packed()
     wires = packed["kind"] == WIRES
     of_shafts = (packed["kind"] == SHAFT) | wires
     if not of_shafts.any():

@@ -36,7 +36,7 @@ class EntryKind(IntEnum):
 
 WRITE, INPUT, RESET, LOST, READ, SHAFT, LOAD, WIRES = map(int, EntryKind)  # for compiled code
 PACKED = np.dtype([("clock", "i8"), ("kind", "i4"), ("axis", "i4"), ("a", "i8"), ("b", "i8")])
-AXIS = 32
+AXIS_SHIFT = 32
 """Lowest bit of the axis in the second word of a packed entry."""
 
 
@@ -111,13 +111,13 @@ class Entries(Sequence[Entry]):
             b: Second number.
             axis: Axis of a SHAFT or a LOAD.
         """
-        self._words.extend((clock, kind | axis << AXIS, a, b))
+        self._words.extend((clock, kind | axis << AXIS_SHIFT, a, b))
 
     def extend(self, packed: np.ndarray) -> None:
         """Append entries given as records of the dtype PACKED."""
         self._words.frombytes(packed.tobytes())
 
-    def packed(self) -> np.ndarray:
+    def to_packed(self) -> np.ndarray:
         """Return a copy of the entries as records of the dtype PACKED."""
         return np.frombuffer(self._words.tobytes(), PACKED)
 
@@ -140,7 +140,7 @@ class Entries(Sequence[Entry]):
             if step == 1:  # without a copy of all
                 part._words = self._words[4 * start : 4 * max(start, stop)]
             else:
-                part._words.frombytes(self.packed()[k].tobytes())
+                part._words.frombytes(self.to_packed()[k].tobytes())
             return part
         at = range(len(self))[k] * 4
         return _unpack(self._words[at : at + 4])
@@ -149,4 +149,4 @@ class Entries(Sequence[Entry]):
 def _unpack(words: Sequence[int]) -> Entry:
     """Convert the words of a packed entry to an `Entry`."""
     clock, kind, a, b = words
-    return Entry(clock, kind & (1 << AXIS) - 1, a, b, kind >> AXIS)
+    return Entry(clock, kind & (1 << AXIS_SHIFT) - 1, a, b, kind >> AXIS_SHIFT)

@@ -19,20 +19,20 @@ LEVEL_BITS = 3
 NUMBER_SHIFT, PULSES_SHIFT = LEVEL_BITS, 33
 """Lowest bits of the number and of the count of pulses; both have 30 bits."""
 LINKED = 1
-_ALL = (1 << 30) - 1
+_FIELD_MASK = (1 << 30) - 1
 MAX_ROUNDS = 8  # of exchanges at one clock
 
 
 @hot
 def read_wire_number(word):
     """Return the number field of a wire word, the word that linked chips drive onto their common wires."""
-    return word >> NUMBER_SHIFT & _ALL
+    return word >> NUMBER_SHIFT & _FIELD_MASK
 
 
 @hot
 def count_new_pulses(new_word, old_word):
     """Return the number of pulses that linked chips made between an older and a newer wire word (see `pack_wire_word`)."""
-    return (new_word >> PULSES_SHIFT) - (old_word >> PULSES_SHIFT) & _ALL
+    return (new_word >> PULSES_SHIFT) - (old_word >> PULSES_SHIFT) & _FIELD_MASK
 
 
 @hot
@@ -44,7 +44,7 @@ def pack_wire_word(levels, number, pulses):
         number: Number that the chip drives.
         pulses: Pulses that the chip has made since power-up.
     """
-    return levels | number << NUMBER_SHIFT | (pulses & _ALL) << PULSES_SHIFT
+    return levels | number << NUMBER_SHIFT | (pulses & _FIELD_MASK) << PULSES_SHIFT
 
 
 @hot

@@ -19,9 +19,9 @@ from importlib import import_module
 from stage.chips import contract_check
 from stage.chips.chip import Chip
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
-from stage.support.entry_points import PackagePart, find_package_parts, load_package_part, may_have_package_part
+from stage.support.entry_points import PackageEntryPoint, find_entry_points, load_entry_point, may_have_entry_point
 
-GROUP = "pulsestage.chips"
+ENTRY_POINT_GROUP = "pulsestage.chips"
 """The entry points of a package that name chips."""
 PACKAGE_NAME = "pulsestage"
 
@@ -88,7 +88,7 @@ class Registry(MutableMapping[str, type[Chip]]):
         known = isinstance(name, str) and (
             normalize_chip_name(name) in self._loaded or normalize_chip_name(name) in self._families
         )
-        return known or (isinstance(name, str) and normalize_chip_name(name) in _find_sources())
+        return known or (isinstance(name, str) and normalize_chip_name(name) in _find_package_chips())
 
     def __setitem__(self, name: str, chip: type[Chip]) -> None:
         self._loaded[normalize_chip_name(name)] = chip
@@ -108,7 +108,7 @@ class Registry(MutableMapping[str, type[Chip]]):
             raise UnknownKey("no class of a chip was set or loaded: PulseStage's own chips stay.") from None
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*self._families, *_find_sources(), *self._loaded)))
+        return iter(dict.fromkeys((*self._families, *_find_package_chips(), *self._loaded)))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -121,11 +121,11 @@ class Registry(MutableMapping[str, type[Chip]]):
     def list_chips(self) -> list[ListedChip]:
         """List every chip, PulseStage's own first, with the reason if it cannot be loaded. This imports all packages of chips."""
         lines = [ListedChip(name, PACKAGE_NAME, self[name]) for name in self._families]
-        for name, sources in sorted(_find_sources().items()):
+        for name, sources in sorted(_find_package_chips().items()):
             packages = ", ".join(source.package for source in sources)
             try:
                 if name in self._families:
-                    raise ArgumentError(_describe_clash_with_built_in_chip(name, sources))
+                    raise ArgumentError(_describe_name_conflict(name, sources))
                 lines.append(ListedChip(name, packages, self[name]))
             except StageError as error:
                 lines.append(ListedChip(name, packages, None, str(error)))
@@ -141,35 +141,39 @@ class Registry(MutableMapping[str, type[Chip]]):
         if name not in self._families or name in self._told:
             return
         self._told.add(name)
-        sources = _find_sources().get(name) if may_have_package_part(GROUP, name, normalize_chip_name) else None
+        sources = (
+            _find_package_chips().get(name)
+            if may_have_entry_point(ENTRY_POINT_GROUP, name, normalize_chip_name)
+            else None
+        )
         if sources:
-            print(f"PulseStage: {_describe_clash_with_built_in_chip(name, sources)}", file=sys.stderr, flush=True)
+            print(f"PulseStage: {_describe_name_conflict(name, sources)}", file=sys.stderr, flush=True)
 
     def _load(self, name: str) -> type[Chip]:
         """Load the class of a chip by its name in the registry."""
         if name in self._families:
             module, _, attribute = self._families[name].partition(":")
             return getattr(import_module(module), attribute)
-        if not (sources := _find_sources().get(name, [])):
+        if not (sources := _find_package_chips().get(name, [])):
             raise UnknownKey(str(unknown_name_error("chip", name, self)))
         return _load_class(name, sources)
 
 
-def _find_sources() -> dict[str, list[PackagePart]]:
+def _find_package_chips() -> dict[str, list[PackageEntryPoint]]:
     """Find the chips that installed packages bring."""
-    return find_package_parts(GROUP, normalize_chip_name)
+    return find_entry_points(ENTRY_POINT_GROUP, normalize_chip_name)
 
 
-def _describe_clash_with_built_in_chip(name: str, sources: list[PackagePart]) -> str:
+def _describe_name_conflict(name: str, sources: list[PackageEntryPoint]) -> str:
     """Describe that an installed package has a chip under the name of one of PulseStage's own chips, which stays."""
     others = " and ".join(source.package for source in sources)
     advice = _advise_renaming(sources)
     return f"{name} is one of PulseStage's own chips, and stays it, though {others} has one of this name: {advice}"
 
 
-def _load_class(name: str, sources: list[PackagePart]) -> type[Chip]:
+def _load_class(name: str, sources: list[PackageEntryPoint]) -> type[Chip]:
     """Load the class that an entry point names. Raises LoadError or ArgumentError."""
-    chip = load_package_part("chip", name, sources)
+    chip = load_entry_point("chip", name, sources)
     try:
         contract_check.check_chip_class(chip, Chip)
         if normalize_chip_name(chip.__name__) != name:
@@ -182,6 +186,6 @@ def _load_class(name: str, sources: list[PackagePart]) -> type[Chip]:
     return chip
 
 
-def _advise_renaming(sources: list[PackagePart]) -> str:
+def _advise_renaming(sources: list[PackageEntryPoint]) -> str:
     """Return the advice to rename an entry point, for an error."""
     return f"give the entry point of {sources[0].package} another name, that of its class."

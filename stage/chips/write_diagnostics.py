@@ -93,7 +93,7 @@ def parse_diagnostics(data: Iterable[Any]) -> tuple[Diagnostic, ...]:
     return diagnostics
 
 
-def describe_mistakes(chips: Iterable[Chip]) -> str:
+def summarize_diagnostics(chips: Iterable[Chip]) -> str:
     """Return how many bus writes, edges of lines and so on break rules, as "2 bus writes and 3,200 edges"; "" if none does."""
     counts = Counter[str]()
     for chip in chips:
@@ -126,10 +126,10 @@ class JournalLint:
         """Add the diagnostics of all writes in the journal to the chip's, and begin a new journal."""
         chip, journal = self._chip, self._journal
         entries = journal.entries
-        if not len(entries) and journal.until == chip.clock == int(journal.start["clock"]):
+        if not len(entries) and journal.end_clock == chip.clock == int(journal.start_state["clock"]):
             return
-        if (entries.packed()["kind"] == WRITE).any():
-            replica = chip.make_replica(journal.start.tobytes())
+        if (entries.to_packed()["kind"] == WRITE).any():
+            replica = chip.make_replica(journal.start_state.tobytes())
             for entry in entries:
                 chip.CORE.advance.c(replica.pointer, entry.clock)
                 if entry.kind == WRITE:

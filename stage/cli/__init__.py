@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: Sequence[str] | None) -> int:
     """Parse the words and run their command; return the exit code, also for an error or Ctrl-C."""
-    from stage.cli.command_interface import describe_interruption, fail
+    from stage.cli.command_interface import describe_interruption, print_error
     from stage.cli.completion import complete
     from stage.errors import StageError
 
@@ -83,17 +83,17 @@ def _run(argv: Sequence[str] | None) -> int:
     try:
         return args.run(args)
     except (StageError, FileNotFoundError, PermissionError) as error:
-        fail(args, error)
+        print_error(args, error)
         return 2
     except (OSError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or str(error) or "no memory"
         hint = "`ulimit -a` shows the limits of this process, `df` how full the disks are."
-        fail(args, error, f"the system refuses it: {reason}. {hint}")
+        print_error(args, error, f"the system refuses it: {reason}. {hint}")
         return 2
     except KeyboardInterrupt as stop:
         if argv is None:  # the process ends: a second Ctrl-C ends it at once, without a word
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-        fail(args, stop, describe_interruption(args))
+        print_error(args, stop, describe_interruption(args))
         return 130
 
 

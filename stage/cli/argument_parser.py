@@ -68,7 +68,7 @@ class Parser(argparse.ArgumentParser):
         """Set the completer of argcomplete for each argument: names, or files of one kind."""
         from argcomplete.completers import ChoicesCompleter, FilesCompleter
 
-        from stage.cli.argument_names import find_name_completer
+        from stage.cli.name_completers import find_name_completer
 
         for action in self._actions:
             ending = re.search(r"FILE\.(\w+)$", str(action.metavar))

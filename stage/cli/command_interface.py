@@ -113,7 +113,7 @@ def warn(args: argparse.Namespace, text: str) -> None:
         print(f"stage: warning: {text}", file=sys.stderr)
 
 
-def fail(args: argparse.Namespace, error: BaseException, text: str = "") -> None:
+def print_error(args: argparse.Namespace, error: BaseException, text: str = "") -> None:
     """Print an error to standard error, as JSON with --json. `text` replaces the message of the error."""
     text = text or str(error)
     if getattr(args, "json", False):

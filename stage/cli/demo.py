@@ -15,7 +15,7 @@ from stage.errors import ArgumentError
 from stage.support.extras import is_installed
 from stage.units import POSITION_UNITS, format_step_count
 
-START_PLACES = (0.1962, -0.1435, 0.177)
+START_POSITION_SHARES = (0.1962, -0.1435, 0.177)
 """Positions at which the carriages happen to stand, from the middle of their travel, as shares of the travel."""
 LONG, SHORT, LINE_FIRST, LINE_SECOND = 0.3956, 0.2894, 0.1978, -0.1085
 """Distances of the moves, as shares of the travel."""
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     stage = make_stage(args)
     for k, group in enumerate(group_tandem_axes(stage.axes.values())):
         low, high = group[0].travel
-        place = round(0.5 * (low + high) + START_PLACES[k % len(START_PLACES)] * (high - low), 3)
+        place = round(0.5 * (low + high) + START_POSITION_SHARES[k % len(START_POSITION_SHARES)] * (high - low), 3)
         stage.place(**{axis.name: place for axis in group})
     if not (args.record or args.picture or args.web):
         args.default_picture = "demo.png"
@@ -88,12 +88,12 @@ def make_moves(stage: Any) -> list[Any]:
     reports += _move_group(second, SHORT, speeds)
     show_status("a straight line ...")
     pulses = {
-        axis: find_pulses(axis, share)
+        axis: convert_share_to_pulses(axis, share)
         for group, share in ((first, LINE_FIRST), (second, LINE_SECOND))
         for axis in group
     }
     try:
-        line = _draw_line(pulses, Speeds(drive=DRIVE_PPS))
+        line = _move_along_line(pulses, Speeds(drive=DRIVE_PPS))
     except ArgumentError as error:
         print(f"no straight line: {error}")
         return reports
@@ -124,11 +124,11 @@ def _move_group(group: list[Any], share: float, speeds: Any) -> list[Any]:
     from stage import firmware
 
     if len(group) == 1:
-        return [firmware.move(group[0], pulses=find_pulses(group[0], share), speed=speeds)]
-    return list(_draw_line({axis: find_pulses(axis, share) for axis in group}, speeds).axes.values())
+        return [firmware.move(group[0], pulses=convert_share_to_pulses(group[0], share), speed=speeds)]
+    return list(_move_along_line({axis: convert_share_to_pulses(axis, share) for axis in group}, speeds).axes.values())
 
 
-def _draw_line(pulses: dict[Any, int], speeds: Any) -> Any:
+def _move_along_line(pulses: dict[Any, int], speeds: Any) -> Any:
     """Move axes along a line, by pulses for each axis, and return the report."""
     from stage import firmware
 
@@ -140,7 +140,7 @@ def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:
     from stage.firmware.procedures import move_at_two_rates
 
     if len(group) == 1:
-        pulses = find_pulses(group[0], LONG)
+        pulses = convert_share_to_pulses(group[0], LONG)
         try:
             return [move_at_two_rates(group[0], pulses=pulses, speed=speeds.with_second_rate(FAST_PPS), dwell=DWELL_S)]
         except ArgumentError as error:
@@ -148,7 +148,7 @@ def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:
     return _move_group(group, LONG, speeds)
 
 
-def find_pulses(axis: Any, share: float) -> int:
+def convert_share_to_pulses(axis: Any, share: float) -> int:
     """Return the signed pulses for a share of the axis' travel, in the opposite direction if there is no room in the given one."""
     low, high = axis.travel
     distance = share * (high - low)

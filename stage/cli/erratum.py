@@ -22,9 +22,9 @@ from stage.cli.output_files import check_outputs, draw_plot, record_for_plot
 from stage.errors import StageError
 
 if TYPE_CHECKING:
-    from stage.cli.fault.demonstrations import Figures, Record
+    from stage.cli.fault.demonstrations import MeasuredValues, RecordingFactory
 
-CHIPS = ("MCX304", "MCX302", "MCX312")
+CHIP_NAMES = ("MCX304", "MCX302", "MCX312")
 MULTIPLE = 10
 MOVE = {"R": 8_000_000 // MULTIPLE, "K": 20_000, "A": 8000, "SV": 400, "V": 2000, "AO": 0}
 """Registers of the move."""
@@ -47,7 +47,7 @@ def add_subcommand(commands: Any) -> None:
     )  # fmt: skip
     p.add_argument("--mended", action="store_true", help="simulate chips without the failure (errata=False)")
     options.add_plot_option(p)
-    options.add_stage_and_output_options(p, CHIPS)
+    options.add_stage_and_output_options(p, CHIP_NAMES)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class ErratumResult:
 
     chip: str
     lacks_erratum: bool
-    figures: tuple[Figures, Figures]
+    figures: tuple[MeasuredValues, MeasuredValues]
     recordings: tuple[Any, Any] = field(repr=False)
     unit: str = "m"
 
@@ -83,13 +83,13 @@ class ErratumResult:
 
     def format_table(self) -> str:
         """Return the measured values of both runs, a line for each."""
-        from stage.cli.fault.demonstrations import format_figures
+        from stage.cli.fault.demonstrations import format_measured_values
 
-        return format_figures(("", "26h", "stop_by_speed"), self.figures, self.unit)
+        return format_measured_values(("", "26h", "stop_by_speed"), self.figures, self.unit)
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Draw both runs over time, with the areas of the notice, and return the figure. Needs recordings, and matplotlib."""
-        from stage.cli.erratum_picture import draw_erratum_plot
+        from stage.cli.erratum_plot import draw_erratum_plot
 
         return draw_erratum_plot(self, path, overwrite)
 
@@ -137,7 +137,7 @@ def _make_stage(args: argparse.Namespace) -> Any:
 
 
 def run_demonstration(
-    make: Callable[[], Any], records: tuple[Record | None, Record | None] = (None, None)
+    make: Callable[[], Any], records: tuple[RecordingFactory | None, RecordingFactory | None] = (None, None)
 ) -> ErratumResult:
     """Make the move on two stages: first with the work-around, then with command 26h alone.
 
@@ -177,22 +177,22 @@ def _stop_by_speed(port: Any) -> bool:
     return stop_by_speed(port, compute_judgmental_speed(MOVE["SV"], MOVE["V"]))
 
 
-def _drive_s_curve(stage: Any, stop: Callable[[Any], bool]) -> Figures:
+def _drive_s_curve(stage: Any, stop: Callable[[Any], bool]) -> MeasuredValues:
     """Drive an S-curve that ends 5 mm before EL+, by bus cycles, and return its measured values.
 
     Args:
         stage: The stage.
         stop: Function of the chip's port that commands a stop; it is called once RR1 shows area d, until it returns True.
     """
-    from stage.cli.fault.host_programs import find_touch, get_first_axis
+    from stage.cli.fault.host_programs import find_switch_position, get_first_axis
     from stage.firmware.nova import s_curve_workarounds
 
     x = get_first_axis(stage)
-    end = find_touch(x, "el_plus")
+    end = find_switch_position(x, "el_plus")
     stage.place(**{x.name: end - TARGET_TO_LIMIT_M - PULSES * x.meters_per_pulse})
     port = s_curve_workarounds.open_port(x)
     port.write_parameters(**MOVE)
-    port.write_mode_words(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
+    port.write_mode_words(WR2=s_curve_workarounds.LIMIT_DECELERATION_MASK, WR3=s_curve_workarounds.S_CURVE)
     port.start_drive(PULSES)
     while not port.read_status_register(1) & s_curve_workarounds.DSND:
         x.wait(1e-3)
@@ -205,7 +205,7 @@ def _drive_s_curve(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     x.wait(OBSERVATION_S)
     away = port.is_driving()
     speed = port.read_speed() * MULTIPLE
-    figures: Figures = {
+    figures: MeasuredValues = {
         "pulses left in area d": left,
         "26h given": "yes" if given else "no",
         "ASND CNST DSND then": " ".join(

@@ -87,16 +87,16 @@ def run(args: argparse.Namespace) -> int:
     if not args.prefix.isprintable() or any(c.isspace() or c == "." for c in args.prefix):
         raise ArgumentError(f"--prefix {args.prefix!r}: a prefix has no spaces and no dots, for example STAGE:.")
     import_extra("caproto", "stage ioc")
-    from stage.ioc.server import LOCAL_HOST, Ioc, serve, set_server_port
+    from stage.ioc.server import LOOPBACK_ADDRESS, Ioc, serve, set_server_port
 
-    interfaces = args.bind or [LOCAL_HOST]
+    interfaces = args.bind or [LOOPBACK_ADDRESS]
     if args.port is not None:
         set_server_port(args.port, interfaces)
     port = args.port or int(os.environ.get("EPICS_CA_SERVER_PORT", DEFAULT_PORT))
     stage = make_stage(args, visuals=False)
     place_carriages(args, stage)
     ioc = Ioc(stage, args.prefix, args.pace, 1 / args.rate)
-    if any(address != LOCAL_HOST for address in interfaces):
+    if any(address != LOOPBACK_ADDRESS for address in interfaces):
         warn(args, "other machines may reach this IOC, and there is no password: whoever connects drives the stage.")
 
     def report() -> None:

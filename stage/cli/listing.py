@@ -6,39 +6,39 @@ import argparse
 from typing import Any
 
 from stage.cli.command_interface import add_command, add_facts
-from stage.cli.options import CHIPS
+from stage.cli.options import CHIP_NAMES
 
 
 def add_subcommand(commands: Any) -> None:
     """Add `stage list`, `stage chips` and `stage registers` to argparse's subparsers."""
     p = add_command(
-        commands, "list", list_kind, "list the available chips, motors, power stages or models",
+        commands, "list", print_kind, "list the available chips, motors, power stages or models",
         "List the values of --chips, --motor, --drive or --model.",
         ("stage list motors", "names for --motor"),
         ("stage list models", "names for --model"),
     )  # fmt: skip
-    p.add_argument("what", choices=tuple(KINDS))
+    p.add_argument("what", choices=tuple(PRINT_FUNCTIONS_BY_KIND))
     add_command(
-        commands, "chips", list_chips, "list the available chips",
+        commands, "chips", print_chips, "list the available chips",
         "List every chip: PulseStage's own, and those of installed packages (docs/your_own_chip.md).",
         ("stage chips", "print the names for --chips, and the package of each"),
     )  # fmt: skip
     p = add_command(
-        commands, "registers", list_registers, "print the register map of a chip",
+        commands, "registers", print_registers, "print the register map of a chip",
         "Print a chip's registers, commands and status bits with the evidence for each.",
         ("stage registers pcl240k", "print the whole map"),
         ("stage registers mcx514 | less", "read it page by page"),
     )  # fmt: skip
     chip = p.add_argument("chip", metavar="CHIP", help="chip, such as pcl240k; `stage chips` lists them all")
-    chip.known = CHIPS  # type: ignore[attr-defined]
+    chip.known = CHIP_NAMES  # type: ignore[attr-defined]
 
 
-def list_kind(args: argparse.Namespace) -> int:
+def print_kind(args: argparse.Namespace) -> int:
     """Print all items of one kind: chips, motors, power stages or models."""
-    return KINDS[args.what](args)
+    return PRINT_FUNCTIONS_BY_KIND[args.what](args)
 
 
-def list_chips(args: argparse.Namespace) -> int:
+def print_chips(args: argparse.Namespace) -> int:
     """Print the chips, and the packages that supply them."""
     from stage.chips import CHIPS
 
@@ -57,7 +57,7 @@ def list_chips(args: argparse.Namespace) -> int:
     return 0
 
 
-def _list_motors(args: argparse.Namespace) -> int:
+def _print_motors(args: argparse.Namespace) -> int:
     """Print the motors with their values."""
     from stage.drives.dc_motors import DC_MOTORS
     from stage.drives.motors import EVIDENCE, MOTORS
@@ -73,9 +73,9 @@ def _list_motors(args: argparse.Namespace) -> int:
     return 0
 
 
-def _list_power_stages(args: argparse.Namespace) -> int:
+def _print_power_stages(args: argparse.Namespace) -> int:
     """Print the power stages with their values."""
-    from stage.drives.power_stages import EVIDENCE, TIMES, find_power_stage, list_power_stages
+    from stage.drives.power_stages import EDGE_TIME_FIELDS, EVIDENCE, find_power_stage, list_power_stages
 
     power_stages = {name: find_power_stage(name) for name in list_power_stages()}
     add_facts(args, power_stages)
@@ -91,7 +91,7 @@ def _list_power_stages(args: argparse.Namespace) -> int:
             value = getattr(p, field)
             value_text = (
                 f"{value * 1e6:g} us"
-                if field in TIMES
+                if field in EDGE_TIME_FIELDS
                 else f"{value:.4}"
                 if type(value) is float
                 else str(value)
@@ -113,7 +113,7 @@ def _print_evidence(motor: Any) -> None:
         print(f"  {name:21}{value:16}{letter:3}{reason}".rstrip())
 
 
-def _list_models(args: argparse.Namespace) -> int:
+def _print_models(args: argparse.Namespace) -> int:
     """Print the models with their axes."""
     from stage.sim import plant
 
@@ -127,10 +127,15 @@ def _list_models(args: argparse.Namespace) -> int:
     return 0
 
 
-KINDS = {"chips": list_chips, "motors": _list_motors, "power-stages": _list_power_stages, "models": _list_models}
+PRINT_FUNCTIONS_BY_KIND = {
+    "chips": print_chips,
+    "motors": _print_motors,
+    "power-stages": _print_power_stages,
+    "models": _print_models,
+}
 
 
-def list_registers(args: argparse.Namespace) -> int:
+def print_registers(args: argparse.Namespace) -> int:
     """Print the register map of a chip."""
     from stage.chips import chip_class
     from stage.chips.register_map import dump

@@ -32,10 +32,10 @@ def add_subcommand(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write a new model to a file, or print it."""
     from stage.sim import plant
-    from stage.sim.plant.new_model import NewAxis, new_model
+    from stage.sim.plant.new_model import NewAxis, build_model_text
     from stage.support.files import MODEL, check_ending, check_writable, write_atomically
 
-    text = new_model([NewAxis.parse(item) for item in args.axes.split(",")])
+    text = build_model_text([NewAxis.parse(item) for item in args.axes.split(",")])
     if args.output in (None, "-"):
         add_facts(args, mjcf=text)
         print(text, end="")

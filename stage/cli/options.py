@@ -10,15 +10,26 @@ from typing import Any, NamedTuple
 
 from stage.units import OTHER_FACTORS, POSITION_FACTORS, explain_number_error, identify_unit, parse_quantity
 
-PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
+PCL240_CHIP_NAMES = ("PCL240K", "PCL240MK", "PCL240MS")
 DEFAULT_MICROSTEPS = 16
-CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100", "STEPDIR")
+CHIP_NAMES = (
+    *PCL240_CHIP_NAMES,
+    "MCX514",
+    "MCX512",
+    "MCX501",
+    "MCX314AS",
+    "MCX304",
+    "MCX302",
+    "MCX312",
+    "HCTL1100",
+    "STEPDIR",
+)
 
 
 # --- types of values ---
 
 
-class NumberWithUnit:
+class QuantityParser:
     """Parser of an option's value for argparse: a number with a unit of one kind, which is a key of OTHER_FACTORS.
 
     A number without unit is in SI units; a pulse rate without unit is in pps.
@@ -42,7 +53,7 @@ class NumberWithUnit:
         return value
 
 
-class IntegerWithUnit(NumberWithUnit):
+class IntegerQuantityParser(QuantityParser):
     """Parser of an option's value for argparse: an integer with a unit; it may also be written as 0x300."""
 
     def __call__(self, text: str) -> int:
@@ -72,7 +83,7 @@ class SpeedOfCarriage(NamedTuple):
     text: str
 
 
-class RateWithUnit(NumberWithUnit):
+class RateParser(QuantityParser):
     """Parser of an option's value for argparse: a pulse rate such as 20kpps, or a speed of the carriage such as 50mm/s."""
 
     def __call__(self, text: str) -> Any:
@@ -92,9 +103,9 @@ class RateWithUnit(NumberWithUnit):
         )
 
 
-RATE, DURATION = RateWithUnit("pulse rate", positive=True), NumberWithUnit("time", positive=True)
-TIME, VOLTAGE, MASS, FREQUENCY = map(NumberWithUnit, ("time", "voltage", "mass", "frequency"))
-HERTZ = IntegerWithUnit("frequency")
+RATE, DURATION = RateParser("pulse rate", positive=True), QuantityParser("time", positive=True)
+TIME, VOLTAGE, MASS, FREQUENCY = map(QuantityParser, ("time", "voltage", "mass", "frequency"))
+INTEGER_FREQUENCY = IntegerQuantityParser("frequency")
 
 
 def parse_integer(text: str) -> int:
@@ -142,7 +153,7 @@ class ExplicitValueAction(argparse.Action):
 # --- groups of options ---
 
 
-def add_stage_and_output_options(parser: argparse.ArgumentParser, chips: Sequence[str] = CHIPS) -> None:
+def add_stage_and_output_options(parser: argparse.ArgumentParser, chips: Sequence[str] = CHIP_NAMES) -> None:
     """Add --model, the options of a stage, and the options of its recordings."""
     group = parser.add_argument_group("stage")
     group.add_argument("--model", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
@@ -176,9 +187,9 @@ def format_model_help() -> str:
     return f"a model of PulseStage ({', '.join(list_models())}) or an MJCF file (default: xyz)"
 
 
-def add_stage_options(group: Any, chips: Sequence[str] = CHIPS) -> None:
+def add_stage_options(group: Any, chips: Sequence[str] = CHIP_NAMES) -> None:
     """Add the options that describe a stage, except its model."""
-    others = "; or one of another package, see `stage chips`; or x=CHIP,y=CHIP" if chips is CHIPS else ""
+    others = "; or one of another package, see `stage chips`; or x=CHIP,y=CHIP" if chips is CHIP_NAMES else ""
     choices = f"chip of every axis: {', '.join(chips)}{others} (default: %(default)s)"
     group.add_argument("--chips", default=chips[0], help=choices).known = chips
     group.add_argument(
@@ -271,7 +282,7 @@ def add_board_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--stride", type=parse_integer, help="ports from one chip to the next (default: the layout's)")
     group.add_argument(
-        "--clock", type=HERTZ, metavar="HZ", help="reference clock of the chips (default: the data sheet's)"
+        "--clock", type=INTEGER_FREQUENCY, metavar="HZ", help="reference clock of the chips (default: the data sheet's)"
     )
     group.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles as text; - prints them")
     group.add_argument(

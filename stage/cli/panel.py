@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         args = argparse.Namespace(**vars(args) | shared.stage_options)
 
     over = threading.Event()
-    with on_end_signals(over.set), Session(make_stage(args), speed=args.pace, paused=True) as session:
+    with call_at_end_signals(over.set), Session(make_stage(args), speed=args.pace, paused=True) as session:
         stage_options = (
             {name: getattr(args, name) for name in saved_panel.STAGE_OPTIONS}
             if shared is None or shared.stage_options
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def on_end_signals(end: Callable[[], None]) -> Iterator[None]:
+def call_at_end_signals(end: Callable[[], None]) -> Iterator[None]:
     """Within this block, call `end()` at Ctrl-C and SIGTERM."""
     before = {number: signal.signal(number, lambda *_: end()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -111,10 +111,10 @@ def show_panel(args: argparse.Namespace, stage: Any, program: str) -> Iterator[S
 
 def keep_panel(session: Session) -> None:
     """After the program has ended, keep the page and its stage until Ctrl-C or SIGTERM."""
-    session.dismiss_program()
+    session.detach_program()
     print("the page stays; Ctrl-C ends it", flush=True)
     over = threading.Event()
-    with on_end_signals(over.set):
+    with call_at_end_signals(over.set):
         over.wait()
 
 

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.chips.write_diagnostics import BUS_WRITE, describe_mistakes
+from stage.chips.write_diagnostics import BUS_WRITE, summarize_diagnostics
 from stage.cli import options, serial_options
 from stage.cli.command_interface import add_command, add_facts, report_written_file, warn
 from stage.cli.options import DURATION, FREQUENCY, TIME, parse_integer
@@ -28,7 +28,7 @@ from stage.errors import ArgumentError, StageError
 from stage.support.axis_value_parsing import split_pair
 from stage.units import POSITION_UNITS, format_step_count
 
-MAX_DIAGNOSTICS = 10
+MAX_PRINTED_DIAGNOSTICS = 10
 """Diagnostics of a chip that a report prints."""
 
 
@@ -131,8 +131,8 @@ def run(args: argparse.Namespace) -> int:
     """Run firmware; print what it noted and where the axes are."""
     check_outputs(args)
     flags = tuple(flag for text in args.cflags for flag in _split_flags(text))
-    with serial_options.open_serial_end(args) as end:
-        return _run_with_serial_end(args, flags, end)
+    with serial_options.open_serial_peer(args) as end:
+        return _run_with_serial_peer(args, flags, end)
 
 
 def _split_flags(text: str) -> list[str]:
@@ -143,7 +143,7 @@ def _split_flags(text: str) -> list[str]:
         raise ArgumentError(f"--cflags {text!r}: {failed}.") from None
 
 
-def _run_with_serial_end(args: argparse.Namespace, flags: tuple[str, ...], end: Any) -> int:
+def _run_with_serial_peer(args: argparse.Namespace, flags: tuple[str, ...], end: Any) -> int:
     """Make board and host, and run the firmware; return the exit code.
 
     Args:
@@ -424,10 +424,11 @@ def _print_diagnostics(name: str, chip: Any) -> None:
     for d in diagnostics:
         counts[d.message] += chip.find_cause_of(d).times
     print(
-        f"chip of {name}: {describe_mistakes([chip])} that a reader of the data sheet would call mistakes, the first of each kind:"
+        f"chip of {name}: {summarize_diagnostics([chip])} that a reader of the data sheet would call mistakes, the "
+        f"first of each kind:"
     )
     firsts = {d.message: d for d in reversed(diagnostics)}
-    for d in sorted(firsts.values())[:MAX_DIAGNOSTICS]:
+    for d in sorted(firsts.values())[:MAX_PRINTED_DIAGNOSTICS]:
         cycle = f", address {d.address} <- {d.value:02X}h" if chip.find_cause_of(d).kind == BUS_WRITE else ""
         again = f" ({counts[d.message]:,} times)" if counts[d.message] > 1 else ""
         print(f"  {d.clock / chip.clock_hz:.6f} s{cycle}: {d.message} [{d.source}]{again}")

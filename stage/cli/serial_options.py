@@ -44,7 +44,7 @@ def add_serial_options(p: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def open_serial_end(args: argparse.Namespace) -> Iterator[Any]:
+def open_serial_peer(args: argparse.Namespace) -> Iterator[Any]:
     """Open the other end of the serial line that the options name, for this block; yield it, or None.
 
     Raises:
@@ -133,7 +133,8 @@ def run_host(args: argparse.Namespace, host: Any, end: Any, run: Callable[[float
     if not end.is_over:
         option = "--timeout" if args.seconds is None else "--for"
         raise HostTimeout(
-            f"{args.serial_script} is not over after {limit:g} s of simulated time: {end.describe_rest()}. {option} allows more."
+            f"{args.serial_script} is not over after {limit:g} s of simulated time: {end.describe_awaited_event()}. "
+            f"{option} allows more."
         )
     if end.ends_with_send and args.seconds is None:
         warn(

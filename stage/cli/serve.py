@@ -10,7 +10,7 @@ from stage.cli import options
 from stage.cli.command_interface import add_command, warn
 from stage.cli.options import parse_port
 from stage.cli.output_files import check_outputs, record_to_files
-from stage.cli.panel import on_end_signals, show_panel
+from stage.cli.panel import call_at_end_signals, show_panel
 from stage.cli.run import print_report, write_trace
 from stage.cli.stage_setup import make_board
 from stage.errors import ArgumentError
@@ -78,7 +78,7 @@ def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
             if session is not None:
                 session.end_program()  # a request that waits, or takes its time, ends where it is
 
-        with on_end_signals(end):
+        with call_at_end_signals(end):
             server.run()
         _print_now(f"ended after {board.stage.time:.6f} s of simulated time and {board.cycles:,} bus cycles")
         print_report(board)

@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.distance is None:
         raise ArgumentError("--distance: registers are for one distance. Give it, for example --distance 100mm.")
-    folder = _check_folder(args)
+    folder = _prepare_output_folder(args)
     if args.by == "search":
         import_optuna()
     if args.seed < 0:
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         stage, axis.name, pulses, args.payload, parse_spare(args.spare, args.payload), within, hold,
         overshoot, args.site, args.payload_on,
     )  # fmt: skip
-    unit_hint = explain_unit(axis, args.distance)
+    unit_hint = propose_distance_unit(axis, args.distance)
     if unit_hint and abs(pulses) * abs(axis.meters_per_pulse * axis.gear) < SHORT_MOVE_RAD:
         warn(args, unit_hint)
     progress = _SearchProgress(args.trials)
@@ -148,7 +148,7 @@ def _write_files(args: argparse.Namespace, result: Any, folder: Path) -> None:
     print(f"\n{folder}: {', '.join(files)}")
 
 
-def _check_folder(args: argparse.Namespace) -> Path | None:
+def _prepare_output_folder(args: argparse.Namespace) -> Path | None:
     """Return the folder of --output, and create it if it is missing. Raises FileError for a folder that cannot be written to."""
     from stage.support.files import FileError, check_writable
 
@@ -191,7 +191,7 @@ def parse_spare(text: str, payload: float) -> float | None:
     return value / 100 * payload if payload else None
 
 
-def explain_unit(axis: Any, distance: str) -> str:
+def propose_distance_unit(axis: Any, distance: str) -> str:
     """Return a sentence that proposes a unit for a distance without one, which counts as pulses; "" for a distance with a unit."""
     from stage.firmware.driver import get_driver
 

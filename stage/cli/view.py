@@ -13,7 +13,7 @@ from stage.errors import StageError, unknown_name_error
 from stage.support.extras import import_extra
 
 WIDTH_PX, HEIGHT_PX = 1600, 900
-ARROW_LENGTH = 0.16  # of the model's extent
+ARROW_LENGTH_RATIO = 0.16  # of the model's extent
 AMBIENT, DIFFUSE = 0.45, 0.35  # of the lamp at the eye: nothing is black
 
 
@@ -128,7 +128,7 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
     body = int(model.jnt_bodyid[axis.joint])
     geoms = np.flatnonzero(model.geom_bodyid == body)
     middle = data.geom_xpos[geoms].mean(axis=0) if len(geoms) else data.xpos[body]
-    direction, length = np.array(data.xaxis[axis.joint]), ARROW_LENGTH * float(model.stat.extent)
+    direction, length = np.array(data.xaxis[axis.joint]), ARROW_LENGTH_RATIO * float(model.stat.extent)
     if axis.hinge:
         aside = np.cross(direction, [1.0, 0.0, 0.0] if abs(direction[0]) < 0.9 else [0.0, 1.0, 0.0])
         aside /= np.linalg.norm(aside)

@@ -1,7 +1,7 @@
 """Test bench for a motor and its drive without a stage: a rotor with an inertia and a brake.
 
     trace = simulate_motor(drive, compute_mean_counts(rates), inertia=...)       one run with the values of every slice
-    simulate_pull_out(drive, rpm), find_pull_in_rate(drive, inertia), simulate_ring_down(drive, inertia),
+    simulate_pull_out(drive, rpm), find_pull_in_rate(drive, inertia), measure_swing_frequency(drive, inertia),
     sweep_resonance(drive, rates)
 
 A compiled loop integrates the motion by the same leapfrog as the engine of a stage, with the same compiled drive, in slices of
@@ -61,7 +61,7 @@ class PullOutCurve(NamedTuple):
         return "\n".join([head, *rows])
 
 
-def compute_closed_form(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
+def compute_closed_form_torque(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
     """Compute the pull-out torque of an ideal sine drive, N m, in closed form: min(T_V, T_I) - b w, at least 0 (spec/drives.md, 1).
 
     Z = sqrt(R^2 + (Nr w L)^2), T_V = Km (V / Z - Km w R / Z^2), T_I = Km I; b is the motor's core loss.
@@ -80,9 +80,7 @@ def compute_closed_form(motor: Motor | str, volts: float, current: float, rpm: F
     )
 
 
-def compute_voltage_and_current_bound(
-    motor: Motor | str, volts: float, current: float, rpm: Floats | float
-) -> np.ndarray:
+def compute_torque_bound(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
     """Compute the largest torque of sinusoidal currents that respect both limits at once, |i| <= current and |v| <= volts, N m.
 
     The motor's core loss is subtracted. In rotor coordinates the back-EMF E = Km w is real, v = Z i + E with Z = R + j Nr w L, and
@@ -391,7 +389,7 @@ def find_pull_in_rate(
     return low
 
 
-def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, frame_damping: float = 0.0) -> float:
+def measure_swing_frequency(drive: Drive, inertia: float, microstep: int = 0, frame_damping: float = 0.0) -> float:
     """Simulate a rotor that is released 1/40 full step away from a microstep, and return the frequency of its swing, Hz.
 
     The frequency is the mean over the zero crossings of the swing.
@@ -497,6 +495,6 @@ def tabulate_pull_out(
     m, v, i = drive.motor, drive.bus_voltage, drive.amplitude
     return PullOutCurve(
         speeds, simulated, ideal_drive,
-        compute_closed_form(m, v, i, speeds), compute_closed_form(m, 4 / math.pi * v, i, speeds),
-        compute_voltage_and_current_bound(m, v, i, speeds), m.steps_per_turn,
+        compute_closed_form_torque(m, v, i, speeds), compute_closed_form_torque(m, 4 / math.pi * v, i, speeds),
+        compute_torque_bound(m, v, i, speeds), m.steps_per_turn,
     )  # fmt: skip

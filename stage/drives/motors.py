@@ -156,13 +156,13 @@ def _check_evidence(motor: Motor) -> None:
             )
 
 
-_DATA_SHEET = dict.fromkeys(
+_DATA_SHEET_EVIDENCE = dict.fromkeys(
     (
         "rated_current", "resistance", "inductance", "holding_torque", "detent_torque", "rotor_inertia", "steps_per_turn",
     ), "S",
 )  # fmt: skip
-_DETENT = "I: about 5 % of the holding torque, as the 17HS4401 has 5.5 %; the data sheet gives none"
-_CORE_LOSS = (
+_DETENT_EVIDENCE = "I: about 5 % of the holding torque, as the 17HS4401 has 5.5 %; the data sheet gives none"
+_CORE_LOSS_EVIDENCE = (
     "I: no pull-out curve is at hand; a damping of 9e-4 s/rad times the holding torque, likely 5e-4 to 1.6e-3, after the "
     "17HS19-2004S1"
 )
@@ -171,27 +171,27 @@ MOTORS: dict[str, Motor] = {
     for m in (
         Motor(
             "17HS4401", 1.7, 1.5, 2.8e-3, 0.40, 0.022, 54e-7, core_loss_resistance=77.0,
-            evidence=_DATA_SHEET | {"core_loss_resistance": _CORE_LOSS},
+            evidence=_DATA_SHEET_EVIDENCE | {"core_loss_resistance": _CORE_LOSS_EVIDENCE},
         ),
         Motor(
             "17HS19-2004S1", 2.0, 1.6, 3.0e-3, 0.56, 0.030, 82e-7, core_loss_resistance=44.0,
-            evidence=_DATA_SHEET | {
-                "resistance": "S: +-10 %", "inductance": "S: +-20 %", "detent_torque": _DETENT,
+            evidence=_DATA_SHEET_EVIDENCE | {
+                "resistance": "S: +-10 %", "inductance": "S: +-20 %", "detent_torque": _DETENT_EVIDENCE,
                 "holding_torque": "C: fitted with the core loss to six points of the curve; the data sheet gives 0.59 N m",
                 "core_loss_resistance": "C: fitted with the holding torque to six points of the curve, driver losses included",
             },
         ),
         Motor(
             "17HS15-1504S", 1.5, 2.3, 4.4e-3, 0.45, 0.022, 54e-7, core_loss_resistance=111.0,
-            evidence=_DATA_SHEET | {
-                "detent_torque": _DETENT,
-                "core_loss_resistance": _CORE_LOSS,
+            evidence=_DATA_SHEET_EVIDENCE | {
+                "detent_torque": _DETENT_EVIDENCE,
+                "core_loss_resistance": _CORE_LOSS_EVIDENCE,
                 "rotor_inertia": "I: that of the 17HS4401, the nearest in holding torque; the data sheet gives none",
             },
         ),
         Motor(
             "SS2422-5041", 1.0, 5.4, 2.9e-3, 0.186, 0.009, 28e-7, core_loss_resistance=103.0,
-            evidence=_DATA_SHEET | {"detent_torque": _DETENT, "core_loss_resistance": _CORE_LOSS},
+            evidence=_DATA_SHEET_EVIDENCE | {"detent_torque": _DETENT_EVIDENCE, "core_loss_resistance": _CORE_LOSS_EVIDENCE},
         ),
     )
 }  # fmt: skip

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.argument_checks import explain_constructor
-from stage.support.entry_points import PackagePart, find_package_parts, load_package_part, may_have_package_part
+from stage.support.entry_points import PackageEntryPoint, find_entry_points, load_entry_point, may_have_entry_point
 
-GROUP = "pulsestage.power_stages"
+ENTRY_POINT_GROUP = "pulsestage.power_stages"
 """The entry points of a package that name power stages."""
 EVIDENCE = {"S": "data sheet", "I": "inferred"}
 """Letters that begin the evidence of a value, and what they mean; after ": " comes a reason."""
@@ -88,7 +88,7 @@ class PowerStage:
             raise ArgumentError(
                 f"{self.name}: {self.max_current!r} A at {self.min_supply!r} to {self.max_supply!r} V is no power stage."
             )
-        for time in TIMES:
+        for time in EDGE_TIME_FIELDS:
             if not 0 <= getattr(self, time) <= MAX_TIME_S:
                 raise ArgumentError(f"{self.name}: {time}={getattr(self, time)!r}: from 0 up to {MAX_TIME_S:g} s.")
         if not self.microsteps:
@@ -109,8 +109,8 @@ class PowerStage:
 
     @property
     def times(self) -> tuple[float, ...]:
-        """Shortest allowed times between edges, s, in the order of TIMES."""
-        return tuple(getattr(self, time) for time in TIMES)
+        """Shortest allowed times between edges, s, in the order of EDGE_TIME_FIELDS."""
+        return tuple(getattr(self, time) for time in EDGE_TIME_FIELDS)
 
     def find_microsteps(self, levels: str) -> int:
         """Return the microsteps per full step that the levels of the mode pins select, for example 16 for "HHH".
@@ -145,7 +145,7 @@ class PowerStage:
         return min(vref / (self.current_divider * (resistor + self.internal_resistance)), self.max_current)
 
 
-TIMES = ("step_high", "step_low", "dir_setup", "dir_hold", "enable_setup")
+EDGE_TIME_FIELDS = ("step_high", "step_low", "dir_setup", "dir_hold", "enable_setup")
 """Fields that are times between edges, in the order of stage.chips.stepdir.state."""
 
 IDEAL = PowerStage(
@@ -193,12 +193,12 @@ _checked_names = {IDEAL.name}
 
 def is_power_stage(name: object) -> bool:
     """Return whether PulseStage or an installed package has a power stage of this name."""
-    return isinstance(name, str) and (name.lower() in POWER_STAGES or name.lower() in _find_parts())
+    return isinstance(name, str) and (name.lower() in POWER_STAGES or name.lower() in _find_package_power_stages())
 
 
 def list_power_stages() -> list[str]:
     """Return the names of all power stages, PulseStage's own first."""
-    return list(dict.fromkeys((*POWER_STAGES, *_find_parts())))
+    return list(dict.fromkeys((*POWER_STAGES, *_find_package_power_stages())))
 
 
 def find_power_stage(name: str | PowerStage) -> PowerStage:
@@ -213,7 +213,7 @@ def find_power_stage(name: str | PowerStage) -> PowerStage:
     if isinstance(name, str) and name.lower() in POWER_STAGES:
         _warn_of_name_conflict(name.lower())
         return POWER_STAGES[name.lower()]
-    parts = _find_parts()
+    parts = _find_package_power_stages()
     if not isinstance(name, str) or name.lower() not in parts:
         raise unknown_name_error("power stage", name, list_power_stages())
     return _load_power_stage(name.lower(), parts[name.lower()])
@@ -224,7 +224,7 @@ def _warn_of_name_conflict(name: str) -> None:
     if name in _checked_names:
         return
     _checked_names.add(name)
-    parts = _find_parts().get(name) if may_have_package_part(GROUP, name, str.lower) else None
+    parts = _find_package_power_stages().get(name) if may_have_entry_point(ENTRY_POINT_GROUP, name, str.lower) else None
     if parts:
         print(
             f"PulseStage: {name} is one of PulseStage's own power stages, and stays it, though {' and '.join(map(str, parts))} has "
@@ -234,9 +234,9 @@ def _warn_of_name_conflict(name: str) -> None:
         )
 
 
-def _load_power_stage(name: str, parts: list[PackagePart]) -> PowerStage:
+def _load_power_stage(name: str, parts: list[PackageEntryPoint]) -> PowerStage:
     """Import the power stage that the entry points of a package name."""
-    power_stage = load_package_part("power stage", name, parts)
+    power_stage = load_entry_point("power stage", name, parts)
     if not isinstance(power_stage, PowerStage) or power_stage.name != name:
         raise ArgumentError(
             f"power stage {name} of {parts[0]} is {power_stage!r:.60}, and has to be a stage.drives.power_stages.PowerStage of "
@@ -245,6 +245,6 @@ def _load_power_stage(name: str, parts: list[PackagePart]) -> PowerStage:
     return power_stage
 
 
-def _find_parts() -> dict[str, list[PackagePart]]:
+def _find_package_power_stages() -> dict[str, list[PackageEntryPoint]]:
     """Find the power stages that installed packages bring."""
-    return find_package_parts(GROUP, str.lower)
+    return find_entry_points(ENTRY_POINT_GROUP, str.lower)

@@ -223,14 +223,17 @@ def _fit_values(motor: Motor, curve: PublishedCurve, speeds: np.ndarray, values:
             built = _VALUES[name][0](built, motor, float(factor))
         return built
 
-    def deviate(factors: np.ndarray) -> np.ndarray:
+    def compute_deviations(factors: np.ndarray) -> np.ndarray:
         """Return the relative deviations of the motor with these factors."""
         return simulate_pull_out(curve.build_drive(build(factors)), speeds) / published - 1
 
     factors = np.array([_VALUES[name][1] for name in names])
     for _ in range(GAUSS_NEWTON_STEPS):
-        now = deviate(factors)
-        slopes = [(deviate(factors + step) - now) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(len(names))]
+        now = compute_deviations(factors)
+        slopes = [
+            (compute_deviations(factors + step) - now) / DIFFERENCE_STEP
+            for step in DIFFERENCE_STEP * np.eye(len(names))
+        ]
         change = np.linalg.lstsq(np.array(slopes).T, -now, rcond=None)[0]
         factors = np.clip(factors + change, least, LARGEST_FACTOR)
         if np.abs(change).max() < DIFFERENCE_STEP / 10:

@@ -9,8 +9,8 @@ import numpy as np
 
 from stage.drives.dynamometer import (
     PullOutCurve,
-    compute_closed_form,
-    compute_voltage_and_current_bound,
+    compute_closed_form_torque,
+    compute_torque_bound,
     simulate_pull_out,
 )
 from stage.drives.motor_tolerances import vary_motor
@@ -45,9 +45,9 @@ def _compute_closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, 
     rpm, (m, v, i) = np.linspace(0, rpm_max, 601), (drive.motor, drive.bus_voltage, drive.amplitude)
     return (
         rpm,
-        compute_closed_form(m, v, i, rpm),
-        compute_closed_form(m, 4 / np.pi * v, i, rpm),
-        compute_voltage_and_current_bound(m, v, i, rpm),
+        compute_closed_form_torque(m, v, i, rpm),
+        compute_closed_form_torque(m, 4 / np.pi * v, i, rpm),
+        compute_torque_bound(m, v, i, rpm),
     )
 
 

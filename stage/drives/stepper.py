@@ -10,7 +10,7 @@ exponential i(h) = i + (v - e - R i) / R (1 - exp(-h R / L)). The drive's target
 CHOPPER holds each phase on its target wherever +-V reaches within the slice, else at full voltage: a fixed-frequency chopper
 without ripple. SINE is the ideal drive of the closed form min(T_V, T_I): an ideal current source of amplitude I up to the
 speed where T_V falls below T_I, an ideal voltage source of amplitude V above. (No drive that is bound by both limits at once
-reaches that corner: see dynamometer.compute_voltage_and_current_bound.)
+reaches that corner: see dynamometer.compute_torque_bound.)
 
 Equations: the two-phase model of drives.md (Simscape Electrical "Stepper Motor").
 """
@@ -21,14 +21,14 @@ import math
 
 import numpy as np
 
-from stage.drives.trig import SMALL, add_angles, compute_sincos, compute_sincos_of_small_angle
+from stage.drives.trig import SMALL_ANGLE_RAD, add_angles, compute_sincos, compute_sincos_of_small_angle
 from stage.native import allocate_on_stack, greatest, hot, least, record
 
 CHOPPER, SINE, SERVO = range(3)  # modes
 A, B = 1, 2  # phases
 SLICES = 8  # that the engine cuts a physics step into; mean_torque counts on 8
-ENDS = np.array([-3.0, -2.0, -1.0, -1.0, 1.0, 2.0, 3.0, 4.0])
-"""End of each slice, in slices from the middle of the window; -1 for the slice that ends in the middle, see `_place_targets`."""
+SLICE_END_OFFSETS = np.array([-3.0, -2.0, -1.0, -1.0, 1.0, 2.0, 3.0, 4.0])
+"""Ends of the slices, in slices from the middle of the window; -1: it ends in the middle, see `_compute_target_angles`."""
 MIDDLE_SLICE = SLICES // 2 - 1  # the slice that ends in the middle of a window
 
 DRIVE = record(
@@ -112,7 +112,7 @@ def _compute_voltage_limited_torque(drive, omega):
 
 
 @hot
-def _is_sine_held(drive, omega):
+def _can_follow_sine(drive, omega):
     """Return whether the bus voltage of a sine drive keeps the currents at their targets at this speed."""
     return drive.mode == SINE and _compute_voltage_limited_torque(drive, omega) >= drive.torque_constant * drive.current
 
@@ -132,7 +132,7 @@ def _advance_slice(drive, current_a, current_b, cos_target, sin_target, sin_roto
         sin_rotor: Sine of the rotor's electrical angle.
         cos_rotor: Cosine of the rotor's electrical angle.
         omega: Speed of the rotor, rad/s.
-        sine_held: Result of `_is_sine_held`.
+        sine_held: Result of `_can_follow_sine`.
     """
     push = drive.back * omega
     ia, ib = drive.current * cos_target, drive.current * sin_target
@@ -154,7 +154,7 @@ def _advance_slice(drive, current_a, current_b, cos_target, sin_target, sin_roto
 
 
 @hot
-def _place_targets(drive, waves, counts, n_slices, turn, omega):
+def _compute_target_angles(drive, waves, counts, n_slices, turn, omega):
     """Write the angle from the rotor to the target of the currents at the end of each slice into `waves`.
 
     An entry is the sine and cosine of that angle, relative to the angle of the slice that ends in the middle of the window. The
@@ -167,8 +167,8 @@ def _place_targets(drive, waves, counts, n_slices, turn, omega):
     allowed = drive.reach - abs(drive.back * omega) - drive.current * (1.0 - drive.keep)
     outside = False
     for k in range(n_slices):
-        angle = per_pulse * (counts[k] - middle) - turn * ENDS[k]
-        outside |= abs(angle) > SMALL
+        angle = per_pulse * (counts[k] - middle) - turn * SLICE_END_OFFSETS[k]
+        outside |= abs(angle) > SMALL_ANGLE_RAD
         waves[SIN, k], waves[COS, k] = compute_sincos_of_small_angle(angle)
     for k in range(1, n_slices):
         outside |= drive.current * per_pulse * abs(counts[k] - counts[k - 1]) > allowed
@@ -183,7 +183,7 @@ def _advance_on_targets(
 
     Args:
         drive: DRIVE record.
-        waves: Sines and cosines of the targets, as `_place_targets` leaves them.
+        waves: Sines and cosines of the targets, as `_compute_target_angles` leaves them.
         sin_rotor: Sine of the rotor's phase in the middle of the window.
         cos_rotor: Cosine of the rotor's phase in the middle of the window.
         sin_target: Sine of the target at the end of the slice that ends in the middle of the window.
@@ -242,7 +242,7 @@ def _advance_by_slices(drive, waves, counts, n_slices, sin_rotor, cos_rotor, sin
         waves[SIN, k], waves[COS, k] = compute_sincos(drive.offset + drive.per_pulse * counts[k])
     a, b, opened = drive.current_a, drive.current_b, drive.open
     hs, hc = compute_sincos(half_turn)
-    sine_held = _is_sine_held(drive, omega)
+    sine_held = _can_follow_sine(drive, omega)
     total = tilt = 0.0
     if not sine_held:
         total, tilt = 0.5 * (b * cos_rotor - a * sin_rotor), -0.5 * (SLICES // 2) * (a * cos_rotor + b * sin_rotor)
@@ -292,7 +292,9 @@ def compute_mean_torque(drive, counts, n_slices, theta, omega, slice_s, gain=0.0
     psi_s, psi_c = compute_sincos(drive.offset + drive.per_pulse * counts[MIDDLE_SLICE])
     turn = omega * slice_s * drive.teeth
     on_target = (
-        drive.mode == CHOPPER and drive.open == 0 and _place_targets(drive, waves, counts, n_slices, turn, omega)
+        drive.mode == CHOPPER
+        and drive.open == 0
+        and _compute_target_angles(drive, waves, counts, n_slices, turn, omega)
     )
     if on_target:
         s1, c1 = waves[SIN, MIDDLE_SLICE], waves[COS, MIDDLE_SLICE]
@@ -330,7 +332,7 @@ def compute_slice_torque(drive, count, theta, omega, slice_s):
         _compute_slice_constants(drive, slice_s)
     tb, ta = compute_sincos(drive.offset + drive.per_pulse * count)
     s, c = compute_sincos(theta * drive.teeth)
-    sine_held = _is_sine_held(drive, omega)
+    sine_held = _can_follow_sine(drive, omega)
     drive.current_a, drive.current_b, mean_a, mean_b = _advance_slice(
         drive, drive.current_a, drive.current_b, ta, tb, s, c, omega, sine_held
     )

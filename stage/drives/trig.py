@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from stage.native import floor, hot
 
-QUARTERS = 0.6366197723675814  # a radian, 2 / pi
+QUADRANTS_PER_RAD = 0.6366197723675814  # a radian, 2 / pi
 FIRST, SECOND, THIRD = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21  # pi / 2 in parts of 33 bits
 
 
 @hot
 def compute_sincos(angle):
     """Compute (sin x, cos x) for x in radians, without branches and integers, so that a loop over it is vectorized."""
-    k = floor(angle * QUARTERS + 0.5)
+    k = floor(angle * QUADRANTS_PER_RAD + 0.5)
     r = angle - k * FIRST - k * SECOND - k * THIRD
     z = r * r
     s = 8.333333333322489e-3 + z * (-1.98412698298579493134e-4 + z * (2.75573137070700676789e-6
@@ -30,12 +30,12 @@ def compute_sincos(angle):
     return sign * (c if odd else s), sign * (-s if odd else c)
 
 
-SMALL = 0.25  # rad
+SMALL_ANGLE_RAD = 0.25  # rad
 
 
 @hot
 def compute_sincos_of_small_angle(angle):
-    """Compute (sin r, cos r) of an angle of up to SMALL radians by Taylor's series, with less than half of the work of
+    """Compute (sin r, cos r) of an angle of up to SMALL_ANGLE_RAD radians by Taylor's series, with less than half of the work of
     `compute_sincos`."""
     z = angle * angle
     s = -1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 - z * (1.0 / 39916800.0))))

@@ -187,8 +187,8 @@ class Bench(Bus):
         if procedures.running is not None:
             procedures.running.wait_until(self._now, until)
         takes_turns = procedures.running is None and until - self._now >= MIN_WAIT_NS
-        while procedures.waiting and (takes_turns or procedures.are_late(self._now)) and self._now < until:
-            self._advance(procedures.plan_run(self._now, until))
+        while procedures.waiting and (takes_turns or procedures.is_overdue(self._now)) and self._now < until:
+            self._advance(procedures.resume_due_procedures(self._now, until))
         self._advance(until)
 
     @explain_arguments

@@ -79,13 +79,13 @@ class OperationPattern:
             for (when, code, meaning), s in zip(report.writes(), report.statements, strict=True)
             if s.kind == "command" and self.needs_annotation(meaning) and when > -0.02 * max(report.duration, 1e-3)
         ]
-        return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
+        return sorted([*notes, *self.make_end_annotations()], key=lambda n: n.time)
 
     def needs_annotation(self, meaning: str) -> bool:
         """Return whether a command with this meaning gets an annotation in the plot."""
         return True
 
-    def describe_end(self) -> list[PatternAnnotation]:
+    def make_end_annotations(self) -> list[PatternAnnotation]:
         """Return annotations that explain why the axis stopped."""
         report = self.report
         if not report.duration or report.stopped_by == "reset command":  # a note of its own

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-PRESET_RATE_LIMIT = 8  # counts at once, faster than any rate: a host has written the position, and nothing has moved
+PRESET_JUMP_COUNTS = 8  # counts at once, faster than any rate: a host has written the position, and nothing has moved
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,7 +79,7 @@ class Report:
     def average_rate(self) -> float:
         """Pulses in both directions divided by `duration`, pps."""
         steps, seconds = np.abs(np.diff(self.waveforms.edges["net"])), np.diff(self.waveforms.seconds)
-        counted = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET_RATE_LIMIT].sum())
+        counted = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET_JUMP_COUNTS].sum())
         return counted / self.duration if self.duration else 0.0
 
     @property

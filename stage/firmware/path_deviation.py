@@ -3,7 +3,7 @@
     compute_path_deviation([x.trace(n), y.trace(n)], (20_000, -7_500))
 
 The path consists of the points (n_1, n_2, ...) of pulse counts. It moves in whole pulses, so even perfect axes stray: with rates
-exactly in ratio and a common start, the first pulse of the slower axis comes a whole pulse late (`compute_perfect_deviation`).
+exactly in ratio and a common start, the first pulse of the slower axis comes a whole pulse late (`compute_staircase_deviation`).
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def compute_path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np
     return np.append(0.0, times[order][last]), np.concatenate([origin, at[last]])
 
 
-def compute_perfect_deviation(distances: Sequence[int]) -> float:
+def compute_staircase_deviation(distances: Sequence[int]) -> float:
     """Compute the deviation of perfect axes, which start at the same time and have constant rates exactly in ratio, pulses."""
     perfect = [(np.arange(1, abs(d) + 1) / max(abs(d), 1), np.sign(d)) for d in distances]
     return compute_path_deviation(perfect, distances).pulses
@@ -161,8 +161,8 @@ def replay_pulses(journal: Journal) -> np.ndarray:
     """
     core = journal.chip.CORE
     if journal.chip.SERVO:
-        return _list_encoder_counts(journal)
-    rows = np.frombuffer(bytearray(journal.start.tobytes()), core.STATE)
+        return _list_command_counts(journal)
+    rows = np.frombuffer(bytearray(journal.start_state.tobytes()), core.STATE)
     clock = rows["clock"]
     begin = int(clock[0])
     parts = [np.empty(0, core.PULSE)]
@@ -177,13 +177,13 @@ def replay_pulses(journal: Journal) -> np.ndarray:
     for e in journal.entries:
         replay_until(e.clock)
         e.apply(core, rows)
-    replay_until(journal.until)
+    replay_until(journal.end_clock)
     pulses = np.concatenate(parts)
     pulses["clock"] -= begin
     return pulses
 
 
-def _list_encoder_counts(journal: Journal) -> np.ndarray:
+def _list_command_counts(journal: Journal) -> np.ndarray:
     """Return a record for each count by which a servo's command position moved, like the pulses of other chips."""
     edges = journal.replay_waveforms().edges
     steps = np.diff(edges["net"])

@@ -435,7 +435,7 @@ def _add_speeds(text: str, axis: Any, symbol: str) -> str:
     return re.sub(rf"{number}(?: to {number})? (?:pps|counts/s|steps per second)", add, text)
 
 
-def find_reach(axis: Any) -> tuple[float, float]:
+def find_travel_range(axis: Any) -> tuple[float, float]:
     """Return the positions of an axis of a stage between its end limits, m or rad; without limits the ends of its travel."""
     ends = {s.pin: s.touch for s in axis.plant.switches}
     low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
@@ -451,7 +451,7 @@ def describe_overtravel(axis: Any, pulses: int) -> str:
     """
     if getattr(axis, "plant", None) is None or axis.meters_per_pulse is None:
         return ""
-    low, high = find_reach(axis)
+    low, high = find_travel_range(axis)
     goal = axis.position + pulses * axis.meters_per_pulse * get_forward_direction(axis)
     slack = abs(axis.meters_per_pulse)
     if low - slack <= goal <= high + slack:

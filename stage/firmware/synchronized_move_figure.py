@@ -43,7 +43,7 @@ def draw_synchronized_move(
     figure = Figure(figsize=(10.5, 4.6) if flat else (8, 5.2), layout="constrained")
     if flat:
         near, off, rates = figure.subplot_mosaic([["near", "off"], ["near", "rates"]], width_ratios=[1, 1.25]).values()
-        _draw_staircase(near, report, counts, line)
+        _draw_farthest_point_detail(near, report, counts, line)
     else:
         off, rates = figure.subplots(2, 1)
     _draw_distance(off, report, times, counts, line)
@@ -57,7 +57,7 @@ def draw_synchronized_move(
     return figure
 
 
-def _draw_staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np.ndarray) -> None:
+def _draw_farthest_point_detail(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np.ndarray) -> None:
     """Draw the path around its farthest point, in the plane of two axes."""
     worst = np.array(report.deviation.counts, float)
     unit = line / np.linalg.norm(line)

@@ -20,11 +20,11 @@ NO_FAULT = "none"
 LOW_SUPPLY_SHARE = 0.3
 """Voltage of the fault "low supply", as a share of the drive's."""
 STUCK_SWITCHES = ("el_plus", "el_minus", "org")
-PRECISION = 4
+DISPLAY_PRECISION_DIGITS = 4
 MESSAGE_LENGTH = 512
 
 
-def make_message(name: str) -> Any:
+def make_message_pv(name: str) -> Any:
     """Return a PV for a text longer than the 40 characters of a string of EPICS: an array of characters."""
     return pvproperty(
         value="", name=name, dtype=ChannelType.CHAR, max_length=MESSAGE_LENGTH, read_only=True,
@@ -64,12 +64,12 @@ class AxisPVs(PVGroup):
     """
 
     true_position = pvproperty(
-        value=0.0, name=":TruePosition", precision=PRECISION, read_only=True, doc="of the carriage"
+        value=0.0, name=":TruePosition", precision=DISPLAY_PRECISION_DIGITS, read_only=True, doc="of the carriage"
     )
     following_error = pvproperty(
         value=0.0,
         name=":FollowingError",
-        precision=PRECISION,
+        precision=DISPLAY_PRECISION_DIGITS,
         read_only=True,
         doc="position by the pulses minus true position",
     )
@@ -110,9 +110,10 @@ class AxisPVs(PVGroup):
     async def publish(self, reading: Reading) -> None:
         """Publish the values that have changed."""
         state = reading.state
-        error = round(reading.dial - reading.encoder, PRECISION + 2)
+        error = round(reading.dial - reading.encoder, DISPLAY_PRECISION_DIGITS + 2)
         values = {
-            "true_position": round(reading.encoder, PRECISION + 2), "following_error": error, "lost_steps": state.lost_steps or 0,
+            "true_position": round(reading.encoder, DISPLAY_PRECISION_DIGITS + 2), "following_error": error,
+            "lost_steps": state.lost_steps or 0,
             "switches": " ".join(name for name, on in state.switches.items() if on),
         }  # fmt: skip
         for name, value in values.items():
@@ -131,7 +132,7 @@ class AxisPVs(PVGroup):
             self._fault = None if word == NO_FAULT else self._kinds[word](self._axis.axis)
 
         try:
-            await asyncio.wrap_future(self._controller.call(change))
+            await asyncio.wrap_future(self._controller.post_to_worker(change))
         except StageError as error:
             await self._refuse_request(str(error))
             raise SkipWrite from None
@@ -149,7 +150,7 @@ class StagePVs(PVGroup):
     payload = pvproperty(
         value=0.0, name="Payload", units="kg", precision=3, record="ao", doc="mass on the load of the stage"
     )
-    message = make_message("Message")
+    message = make_message_pv("Message")
     time = pvproperty(value=0.0, name="Time", units="s", precision=3, read_only=True, doc="simulated time")
 
     def __init__(self, prefix: str, *, controller: MotionController, **kwargs: Any):
@@ -165,7 +166,7 @@ class StagePVs(PVGroup):
     async def payload(self, instance: Any, value: float) -> float:
         """Put a mass on the load. A mass that the stage refuses changes nothing."""
         try:
-            await asyncio.wrap_future(self._controller.call(lambda stage: stage.set_payload(value)))
+            await asyncio.wrap_future(self._controller.post_to_worker(lambda stage: stage.set_payload(value)))
         except StageError as error:
             await write_message(self.message, str(error))
             await instance.alarm.write(status=AlarmStatus.STATE, severity=AlarmSeverity.MAJOR_ALARM)

@@ -18,7 +18,7 @@ from stage.errors import ArgumentError, StageError
 from stage.firmware.axis import get_forward_direction
 from stage.firmware.axis_actions import AxisAction, begin_action, cancel_action
 from stage.firmware.driver import ImmediateOperations, Speeds, get_driver
-from stage.panel.real_time_clock import FREE
+from stage.panel.real_time_clock import UNPACED_SPEED
 from stage.panel.session import Session
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
@@ -33,11 +33,11 @@ SOFT_LIMIT_MARGIN = 6.0
 """Distance of the default soft limits from the end limits, user units; at most a tenth of the travel."""
 SWITCH_OF_HOME = {"ORG": "org", "REFL": "el_minus", "REFR": "el_plus"}
 """Stop reason of a homing -> switch whose trip position is home."""
-TURNING_REASONS = ("EL+", "EL-")
+HOME_REVERSAL_REASONS = ("EL+", "EL-")
 
 
 @dataclass(frozen=True)
-class Profile:
+class MotionProfile:
     """Speed profile of a motion of an IOC's axis, in dial units.
 
     Attributes:
@@ -104,12 +104,12 @@ class ControlledAxis:
     def read(self, trouble: str = "") -> Reading:
         """Read the axis without bus cycles; `trouble` is a reason for which time stands still."""
         state = firmware.read_axis_state(self.axis)
-        pulses = self._count(state)
+        pulses = self._get_counter_pulses(state)
         encoder = (state.position or 0.0) * self._factor + self._encoder_offset
         dial = get_forward_direction(self.axis) * pulses * self.step
         return Reading(state, pulses, dial, encoder, self.reason, trouble or self.trouble)
 
-    def _count(self, state: firmware.AxisState) -> int:
+    def _get_counter_pulses(self, state: firmware.AxisState) -> int:
         """Return the position by the controller's counter; a chip without a counter that can be set counts in its host."""
         if self._driver.can_set_position_counter and state.counter is not None:
             return state.counter
@@ -142,7 +142,7 @@ class ControlledAxis:
         """Convert a dial position to pulses of the counter."""
         return get_forward_direction(self.axis) * round(dial / self.step)
 
-    def convert(self, profile: Profile) -> Speeds:
+    def to_speeds(self, profile: MotionProfile) -> Speeds:
         """Convert a profile to the speeds of the axis' driver, before a motion.
 
         Args:
@@ -163,21 +163,21 @@ class ControlledAxis:
         start = profile.base / self.step if profile.base else DEFAULT_START_PPS
         return Speeds(min(start, drive), drive, profile.accel, profile.accel)
 
-    def begin_move(self, dial: float, profile: Profile) -> AxisAction | None:
+    def begin_move(self, dial: float, profile: MotionProfile) -> AxisAction | None:
         """Begin a move to a dial position; None if there is no pulse to make."""
         pulses = self.to_pulses(dial) - self.read().pulses
-        speeds = self.convert(profile)
+        speeds = self.to_speeds(profile)
         if not pulses:
             return None
         return firmware.begin_move(self.axis, pulses=pulses, speed=speeds, timeout=MOVE_TIMEOUT_S)
 
-    def begin_home(self, direction: int, profile: Profile) -> AxisAction:
+    def begin_home(self, direction: int, profile: MotionProfile) -> AxisAction:
         """Begin a homing; if the end limit comes first, the axis turns back and searches in the other direction."""
-        speeds = self.convert(profile)
+        speeds = self.to_speeds(profile)
 
         def home() -> Any:
             report = firmware.home(self.axis, direction, speed=speeds, timeout=HOME_TIMEOUT_S)
-            if report.stopped_by in TURNING_REASONS:
+            if report.stopped_by in HOME_REVERSAL_REASONS:
                 report = firmware.home(self.axis, -direction, speed=speeds, timeout=HOME_TIMEOUT_S)
             if report.stopped_by in self._driver.HOME_REASONS:
                 self._set_home(report.stopped_by)
@@ -192,9 +192,9 @@ class ControlledAxis:
         place = min(edges, key=lambda edge: abs(edge - self.axis.position))
         self.set_pulses(self.to_pulses(place * self._factor + self._encoder_offset))
 
-    def begin_jog(self, direction: int, profile: Profile) -> AxisAction:
+    def begin_jog(self, direction: int, profile: MotionProfile) -> AxisAction:
         """Begin a motion of the axis without an end."""
-        speeds, unit = self.convert(profile), self.axis.meters_per_pulse
+        speeds, unit = self.to_speeds(profile), self.axis.meters_per_pulse
         return firmware.begin_jog(
             self.axis, direction * speeds.drive * unit, start_speed=speeds.start * unit, accel=profile.accel
         )
@@ -216,20 +216,20 @@ class MotionController:
         self.axes = {name: ControlledAxis(axis) for name, axis in stage.axes.items()}
         self._publish, self._period, self._published = publish, period, 0.0
         self._actions: list[tuple[ControlledAxis, AxisAction, Future[Reading]]] = []
-        self._session = Session(stage, speed=pace, paused=pace == FREE)
-        self._stops_time = pace == FREE
-        self._session.call_after_slices(self._update)
+        self._session = Session(stage, speed=pace, paused=pace == UNPACED_SPEED)
+        self._stops_time = pace == UNPACED_SPEED
+        self._session.call_after_pacing_intervals(self._update)
 
     def close(self) -> None:
         """End the session, and all actions under way where they are."""
         self._session.close()
         self._session.stage.loop.procedures.cancel_all()
 
-    def call(self, order: Callable[[Stage], Any]) -> Future[Any]:
+    def post_to_worker(self, order: Callable[[Stage], Any]) -> Future[Any]:
         """Have the worker call a short function of the stage; return the future of its result."""
         return self._session.post(order)
 
-    def begin(self, name: str, begin: Callable[[ControlledAxis], AxisAction | None]) -> Future[Reading]:
+    def begin_axis_action(self, name: str, begin: Callable[[ControlledAxis], AxisAction | None]) -> Future[Reading]:
         """Have the worker begin an action of an axis.
 
         Args:
@@ -262,7 +262,7 @@ class MotionController:
 
     def stop(self, name: str) -> Future[Reading]:
         """Have the worker bring an axis to rest with a ramp; the action under way ends."""
-        return self.begin(name, lambda axis: firmware.begin_stop(axis.axis))
+        return self.begin_axis_action(name, lambda axis: firmware.begin_stop(axis.axis))
 
     def _update(self, stage: Stage) -> None:
         """Complete the futures of actions that have ended, and publish readings. The worker calls it after each slice."""

@@ -26,11 +26,11 @@ from caproto.server.server import PvpropertyDouble, PvpropertyString
 
 from stage.errors import StageError
 from stage.firmware import AxisAction
-from stage.ioc.machine_pvs import make_message, write_message
-from stage.ioc.motion_controller import ControlledAxis, MotionController, Profile, Reading
+from stage.ioc.machine_pvs import make_message_pv, write_message
+from stage.ioc.motion_controller import ControlledAxis, MotionController, MotionProfile, Reading
 from stage.ioc.move_planning import PlannedMove
 
-Motion = Callable[[int], Awaitable[bool]]
+MotionCoroutine = Callable[[int], Awaitable[bool]]
 """Coroutine function of the motion's number; it returns whether VAL takes the final position."""
 
 REPLY_DELAYS_S = (0.015, 0.015)
@@ -41,11 +41,11 @@ DEFAULT_SPEED_SHARE = 0.2
 MAX_DEFAULT_SPEED = 20.0
 DEFAULT_ACCEL_S = 0.2
 DEFAULT_RETRIES = 10
-REPLACED_ACCEL_S = 0.1
+SUBSTITUTE_ACCEL_S = 0.1
 """Ramp time that replaces one of 0 or less, as in the real record."""
 JOG_MARGIN_S = 1.0
 """Travel time to a soft limit at which a jog ends."""
-PRECISION = 4
+DISPLAY_PRECISION_DIGITS = 4
 ROUNDING_DIGITS = 9
 STOP, PAUSE, MOVE, GO = range(4)
 SPMG_WORDS = ("Stop", "Pause", "Move", "Go")
@@ -89,8 +89,10 @@ class MotorRecord(PVGroup):
             waits for the record finds them up to date.
     """
 
-    motor = pvproperty(dtype=TargetValue, value=0.0, name="", record=StageMotorFields, precision=PRECISION)
-    message = make_message(":Message")
+    motor = pvproperty(
+        dtype=TargetValue, value=0.0, name="", record=StageMotorFields, precision=DISPLAY_PRECISION_DIGITS
+    )
+    message = make_message_pv(":Message")
 
     def __init__(
         self,
@@ -125,19 +127,20 @@ class MotorRecord(PVGroup):
         """Return the function for the puts to each field that is more than a stored value."""
         return {
             "VAL": self._put_user_target, "DVAL": self._put_dial_target, "RVAL": self._put_raw_target,
-            "RLV": self._put_relative, "TWF": self._make_tweak(1), "TWR": self._make_tweak(-1),
-            "HOMF": self._make_home(1), "HOMR": self._make_home(-1), "JOGF": self._make_jog(1), "JOGR": self._make_jog(-1),
+            "RLV": self._put_relative, "TWF": self._make_tweak_putter(1), "TWR": self._make_tweak_putter(-1),
+            "HOMF": self._make_home_putter(1), "HOMR": self._make_home_putter(-1), "JOGF": self._make_jog_putter(1),
+            "JOGR": self._make_jog_putter(-1),
             "STOP": self._put_stop, "SPMG": self._put_mode, "SYNC": self._put_sync,
-            "HLM": self._make_limit("user", 1), "LLM": self._make_limit("user", -1),
-            "DHLM": self._make_limit("dial", 1), "DLLM": self._make_limit("dial", -1),
-            "OFF": self._put_offset, "DIR": self._put_direction, "SSET": self._make_choice("SET", "Set"),
-            "SUSE": self._make_choice("SET", "Use"), "FOF": self._make_choice("FOFF", "Frozen"),
-            "VOF": self._make_choice("FOFF", "Variable"), "CNEN": self._put_enable, "UEIP": self._put_encoder_use,
-            **{name: self._make_speed(name) for name in (*CLIPPED_SPEEDS, "VBAS", "VMAX")},
-            **{rps: self._make_speed(name, in_revolutions=True) for name, rps in SPEED_PAIRS.items()},
+            "HLM": self._make_limit_putter("user", 1), "LLM": self._make_limit_putter("user", -1),
+            "DHLM": self._make_limit_putter("dial", 1), "DLLM": self._make_limit_putter("dial", -1),
+            "OFF": self._put_offset, "DIR": self._put_direction, "SSET": self._make_choice_putter("SET", "Set"),
+            "SUSE": self._make_choice_putter("SET", "Use"), "FOF": self._make_choice_putter("FOFF", "Frozen"),
+            "VOF": self._make_choice_putter("FOFF", "Variable"), "CNEN": self._put_enable, "UEIP": self._put_encoder_use,
+            **{name: self._make_speed_putter(name) for name in (*CLIPPED_SPEEDS, "VBAS", "VMAX")},
+            **{rps: self._make_speed_putter(name, in_revolutions=True) for name, rps in SPEED_PAIRS.items()},
             **{name: self._put_ramp for name in ("ACCL", "BACC", "JAR")}, "RDBD": self._put_retry_deadband,
             **{name: self._put_number for name in ("BDST", "TWV", "SPDB", "DLY")},
-            **{name: self._refuse for name in ("MRES", "ERES", "UREV", "SREV")},
+            **{name: self._refuse_resolution_change for name in ("MRES", "ERES", "UREV", "SREV")},
         }  # fmt: skip
 
     # --- fields ---
@@ -146,13 +149,13 @@ class MotorRecord(PVGroup):
         """Return the value of a field of the record."""
         return self._fields[field].value
 
-    async def set(self, field: str, value: Any) -> None:
+    async def publish_if_changed(self, field: str, value: Any) -> None:
         """Publish the value of a field of the record if it has changed."""
         if self._written.get(field) != value:
             self._written[field] = value
             await self._fields[field].write(value, verify_value=False)
 
-    async def force(self, field: str, value: Any) -> None:
+    async def publish_always(self, field: str, value: Any) -> None:
         """Publish the value of a field of the record, even if it has not changed."""
         self._written[field] = value
         await self._fields[field].write(value, verify_value=False)
@@ -189,7 +192,7 @@ class MotorRecord(PVGroup):
         speed = min(MAX_DEFAULT_SPEED, DEFAULT_SPEED_SHARE * axis.top_speed)
         steps_per_turn = round(2 * math.pi / abs(axis.axis.gear) / axis.axis.meters_per_pulse)
         values = {
-            "EGU": axis.unit, "PREC": PRECISION, "MRES": step, "ERES": step, "RRES": step, "SREV": steps_per_turn,
+            "EGU": axis.unit, "PREC": DISPLAY_PRECISION_DIGITS, "MRES": step, "ERES": step, "RRES": step, "SREV": steps_per_turn,
             "UREV": steps_per_turn * step, "VMAX": axis.top_speed, "VELO": speed, "HVEL": speed, "JVEL": speed, "BVEL": speed,
             "VBAS": 0.0, "ACCL": DEFAULT_ACCEL_S, "BACC": DEFAULT_ACCEL_S, "JAR": speed / DEFAULT_ACCEL_S, "TWV": 1.0,
             "RDBD": step, "SPDB": 0.0, "RTRY": DEFAULT_RETRIES, "HLSV": "MAJOR", "OUT": f"@{self._name}", "DMOV": 1, "SPMG": "Go",
@@ -197,12 +200,12 @@ class MotorRecord(PVGroup):
             "DESC": f"axis {self._name}",
         }  # fmt: skip
         for field, value in values.items():
-            await self.force(field, value)
+            await self.publish_always(field, value)
         await self._publish_revolutions()
         for field in ("VAL", "RBV", "DVAL", "DRBV", "HLM", "LLM", "DHLM", "DLLM", "TWV", "OFF"):
-            await self._fields[field].write_metadata(units=axis.unit, precision=PRECISION)
+            await self._fields[field].write_metadata(units=axis.unit, precision=DISPLAY_PRECISION_DIGITS)
         await self._set_limits(*axis.limits)
-        await self._follow()
+        await self._set_target_to_position()
         await self.publish(self._reading)
 
     async def publish(self, reading: Reading) -> None:
@@ -238,8 +241,10 @@ class MotorRecord(PVGroup):
             "RDIF": round((self.get("DVAL") - dial) / step),
         }  # fmt: skip
         for field, value in values.items():
-            await self.set(field, value)
-        await self._say(f"{self._name}: {self._refusal}" if self._refusal else reading.trouble or self._remark)
+            await self.publish_if_changed(field, value)
+        await self._publish_message(
+            f"{self._name}: {self._refusal}" if self._refusal else reading.trouble or self._remark
+        )
 
     async def _set_alarm(self, high: bool, low: bool, has_problem: bool) -> None:
         """Publish the alarm of VAL and RBV: HLSV at a limit switch or beyond a soft limit, else MAJOR for a problem."""
@@ -260,7 +265,7 @@ class MotorRecord(PVGroup):
             if (alarm.severity, alarm.status) != (severity, status):
                 await alarm.write(status=status, severity=severity)
 
-    async def _say(self, text: str) -> None:
+    async def _publish_message(self, text: str) -> None:
         """Publish a message of the record for people."""
         if self._written.get("message") != text:
             self._written["message"] = text
@@ -277,19 +282,19 @@ class MotorRecord(PVGroup):
             self._refusal = ""
             await self.publish(self._axis.read())
 
-    async def _follow(self) -> None:
+    async def _set_target_to_position(self) -> None:
         """Make the target the present position: VAL, DVAL and RVAL follow RBV."""
         await self._set_target(self._get_dial_reading())
 
     async def _set_target(self, dial: float) -> None:
         """Publish a target in the three coordinates."""
-        await self.force("DVAL", dial)
-        await self.force("RVAL", round(dial / self._axis.step))
-        await self.force("VAL", self._to_user(dial))
+        await self.publish_always("DVAL", dial)
+        await self.publish_always("RVAL", round(dial / self._axis.step))
+        await self.publish_always("VAL", self._to_user(dial))
 
     # --- motion ---
 
-    async def _perform(self, motion: Motion) -> None:
+    async def _perform(self, motion: MotionCoroutine) -> None:
         """Perform a motion, which replaces the one under way; return when the record is done."""
         self._number += 1
         number = self._number
@@ -298,8 +303,8 @@ class MotorRecord(PVGroup):
         self._idle.clear()
         self._refusal = self._remark = self._axis.trouble = ""
         self._reading = self._axis.read()  # an older reading, which may have a trouble, is not published any more
-        await self._say("")
-        await self.set("DMOV", 0)
+        await self._publish_message("")
+        await self.publish_if_changed("DMOV", 0)
         follows = True
         try:
             follows = await motion(number)
@@ -314,16 +319,16 @@ class MotorRecord(PVGroup):
         """Publish the last position, then DMOV; `follows` says whether the target becomes that position."""
         self._reading = self._axis.read()
         if follows:
-            await self._follow()
+            await self._set_target_to_position()
         self._idle.set()
         self._written.pop("RBV", None)
         await self.publish(self._reading)
-        await self.set("DMOV", 1)
+        await self.publish_if_changed("DMOV", 1)
         if self._get_mode() == MOVE:
-            await self.force("SPMG", "Pause")
+            await self.publish_always("SPMG", "Pause")
         await _wait_for_monitors()
 
-    async def _hold(self, at_rest: asyncio.Event, number: int) -> bool:
+    async def _hold_until_replaced(self, at_rest: asyncio.Event, number: int) -> bool:
         """Bring the axis to rest, and keep DMOV 0 until another motion replaces this one: SPMG is Stop or Pause."""
         replaced = self._replaced
         try:
@@ -337,7 +342,7 @@ class MotorRecord(PVGroup):
 
     async def _act(self, begin: Callable[[ControlledAxis], Any]) -> Reading:
         """Begin an action of the axis, wait for its end, and publish the reading."""
-        reading = await asyncio.wrap_future(self._controller.begin(self._name, begin))
+        reading = await asyncio.wrap_future(self._controller.begin_axis_action(self._name, begin))
         await self.publish(reading)
         return reading
 
@@ -350,15 +355,15 @@ class MotorRecord(PVGroup):
         if self._axis.read().state.is_moving:
             await self._halt()
 
-    def _get_profile(self, speed: str, accel: str = "ACCL") -> Profile:
+    def _get_profile(self, speed: str, accel: str = "ACCL") -> MotionProfile:
         """Return the speed profile that two fields of the record describe."""
-        return Profile(self.get(speed), self.get("VBAS"), self.get(accel))
+        return MotionProfile(self.get(speed), self.get("VBAS"), self.get(accel))
 
     async def _move(self, number: int) -> bool:
         """Move to DVAL, with backlash takeout and retries; return whether the target follows the position."""
         await self._halt_if_moving()
         target = self.get("DVAL")
-        await self.set("RCNT", 0)
+        await self.publish_if_changed("RCNT", 0)
         if abs(target - self._get_dial_reading()) < self.get("SPDB"):
             return False
         while True:
@@ -378,12 +383,12 @@ class MotorRecord(PVGroup):
         deadband, limit = self.get("RDBD"), self.get("RTRY")
         miss = abs(target - self._get_dial_reading())
         if miss < deadband - ROUNDING_ERROR:
-            await self.set("MISS", 0)
+            await self.publish_if_changed("MISS", 0)
         elif limit > 0:
-            await self.set("RCNT", self.get("RCNT") + 1)
+            await self.publish_if_changed("RCNT", self.get("RCNT") + 1)
             if self.get("RCNT") <= limit:
                 return round(miss / self._axis.step) >= round(deadband / self._axis.step)
-            await self.set("MISS", 1)
+            await self.publish_if_changed("MISS", 1)
         return False
 
     def _moves_by_encoder(self) -> bool:
@@ -394,7 +399,7 @@ class MotorRecord(PVGroup):
         """Return what is added to a target because pulses and encoder differ, dial units."""
         return self._reading.dial - self._get_dial_reading() if self._moves_by_encoder() else 0.0
 
-    def _get_move_profile(self, is_takeout: bool) -> Profile:
+    def _get_move_profile(self, is_takeout: bool) -> MotionProfile:
         """Return the profile of a move, or of the takeout of its backlash."""
         return self._get_profile("BVEL", "BACC") if is_takeout else self._get_profile("VELO")
 
@@ -420,7 +425,7 @@ class MotorRecord(PVGroup):
         await self._put_target(value, partial(self._redefine_dial_position, value))
         raise SkipWrite
 
-    async def _put_target(self, dial: float, redefine: Motion) -> None:
+    async def _put_target(self, dial: float, redefine: MotionCoroutine) -> None:
         """Move to a dial position or, in SET mode, redefine the present position."""
         if self.get("SET") in ("Set", 1):
             if self._idle.is_set():
@@ -429,23 +434,23 @@ class MotorRecord(PVGroup):
                 await self.refuse_request("a position can be set at rest only.")
             return
         is_allowed = self._plan_move(dial).is_allowed(self.get("DLLM"), self.get("DHLM"))
-        await self.set("LVIO", int(not is_allowed))
+        await self.publish_if_changed("LVIO", int(not is_allowed))
         if not is_allowed:
             await self._refuse_target(dial)
         else:
             await self._set_target(dial)
-            await self._perform(self._move if self._may_move() else partial(self._hold, asyncio.Event()))
+            await self._perform(self._move if self._may_move() else partial(self._hold_until_replaced, asyncio.Event()))
 
     async def _refuse_target(self, dial: float) -> None:
         """Publish that soft limits do not allow a target, which stays what it was; DMOV shows 0 and 1 as for any target."""
         if self._idle.is_set():
-            await self.force("DMOV", 0)
-        await self.force("VAL", self.get("VAL"))
+            await self.publish_always("DMOV", 0)
+        await self.publish_always("VAL", self.get("VAL"))
         limits = f"the soft limits {self.get('LLM'):g} to {self.get('HLM'):g}"
         self._remark = f"{self._name}: {self._to_user(dial):g}, or the takeout of its backlash, is beyond {limits}."
-        await self._say(self._remark)
+        await self._publish_message(self._remark)
         if self._idle.is_set():
-            await self.force("DMOV", 1)
+            await self.publish_always("DMOV", 1)
             await _wait_for_monitors()
 
     def _may_move(self) -> bool:
@@ -459,7 +464,7 @@ class MotorRecord(PVGroup):
         await self.motor.write(self.get("VAL") + value)
         return 0.0
 
-    def _make_tweak(self, sign: int) -> Callable[..., Awaitable[Any]]:
+    def _make_tweak_putter(self, sign: int) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to TWF or TWR, which move the axis by TWV forward or back."""
 
         async def put(instance: Any, value: int) -> int:
@@ -469,7 +474,7 @@ class MotorRecord(PVGroup):
 
         return put
 
-    def _make_home(self, direction: int) -> Callable[..., Awaitable[Any]]:
+    def _make_home_putter(self, direction: int) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to HOMF or HOMR, which mean directions of the dial."""
 
         async def put(instance: Any, value: int) -> int:
@@ -488,14 +493,14 @@ class MotorRecord(PVGroup):
                 raise StageError(f"home was not found: stopped by {reading.reason}.")
         return True
 
-    def _make_jog(self, direction: int) -> Callable[..., Awaitable[Any]]:
+    def _make_jog_putter(self, direction: int) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to JOGF or JOGR, which mean directions of the user."""
 
         async def put(instance: Any, value: int) -> int:
             end = self._get_jog_end(direction * self._sign)
             has_room = end is None or direction * self._sign * (end - self._get_dial_reading()) > 0
             if value and self._may_move():
-                await self.set("LVIO", int(not has_room))
+                await self.publish_if_changed("LVIO", int(not has_room))
                 if has_room:
                     await instance.write(1, verify_value=False)
                     await self._perform(lambda number: self._jog(number, direction * self._sign, end))
@@ -517,20 +522,20 @@ class MotorRecord(PVGroup):
         await self._halt_if_moving()
         if number != self._number:
             return False
-        profile = Profile(self.get("JVEL"), self.get("VBAS"), max(self.get("JVEL") / self.get("JAR"), 1e-3))
+        profile = MotionProfile(self.get("JVEL"), self.get("VBAS"), max(self.get("JVEL") / self.get("JAR"), 1e-3))
         if end is None:
             await self._act(lambda axis: axis.begin_jog(direction, profile))
         else:
             await self._act(partial(_begin_move, end + self._get_correction(), profile))
             if number == self._number:
-                await self.set("LVIO", 1)
+                await self.publish_if_changed("LVIO", 1)
         return True
 
     async def _end_jog(self, number: int) -> bool:
         """Stop a jog; with backlash, go to the position of the stop with a takeout."""
         await self._halt()
         if number == self._number and abs(self.get("BDST")) >= self._axis.step:
-            await self._follow()
+            await self._set_target_to_position()
             target = self.get("DVAL")
             for position, is_takeout in ((target - self.get("BDST"), False), (target, True)):
                 if number == self._number:
@@ -555,7 +560,7 @@ class MotorRecord(PVGroup):
             if mode == PAUSE and self.get("RTRY") > 0:
                 await self._pause()
             else:
-                await self._perform(self._stop if mode == STOP else self._stop_without_follow)
+                await self._perform(self._stop if mode == STOP else self._stop_without_target_change)
         elif mode in (MOVE, GO) and self._is_paused:
             await self._perform(self._move)
         raise SkipWrite
@@ -563,19 +568,19 @@ class MotorRecord(PVGroup):
     async def _pause(self) -> None:
         """Stop the motion under way, and hold it until Go. The put to SPMG is complete when the axis is at rest."""
         at_rest = asyncio.Event()
-        task = asyncio.ensure_future(self._perform(partial(self._hold, at_rest)))
+        task = asyncio.ensure_future(self._perform(partial(self._hold_until_replaced, at_rest)))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         await at_rest.wait()
 
-    async def _stop_without_follow(self, number: int) -> bool:
+    async def _stop_without_target_change(self, number: int) -> bool:
         """Bring the axis to rest; the target stays."""
         await self._halt()
         return False
 
     async def _put_sync(self, instance: Any, value: int) -> int:
         if value and self._idle.is_set():
-            await self._follow()
+            await self._set_target_to_position()
         return 0
 
     # --- puts that define coordinates and limits ---
@@ -584,16 +589,16 @@ class MotorRecord(PVGroup):
         """Publish the soft limits in dial and user coordinates, and as control limits of VAL."""
         user = (self._to_user(low), self._to_user(high))[:: self._sign]
         for field, value in (("DLLM", low), ("DHLM", high), ("LLM", user[0]), ("HLM", user[1])):
-            await self.force(field, value)
+            await self.publish_always(field, value)
         for field in ("VAL", "RBV"):
             await self._fields[field].write_metadata(
                 lower_ctrl_limit=user[0], upper_ctrl_limit=user[1], lower_disp_limit=user[0], upper_disp_limit=user[1]
             )
         target = self.get("DVAL")
-        await self.set("LVIO", int(not (low == high == 0 or low <= target <= high)))
+        await self.publish_if_changed("LVIO", int(not (low == high == 0 or low <= target <= high)))
         await self.publish(self._reading)
 
-    def _make_limit(self, coordinate: str, side: int) -> Callable[..., Awaitable[Any]]:
+    def _make_limit_putter(self, coordinate: str, side: int) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to HLM, LLM, DHLM or DLLM, the soft limits of the record."""
 
         async def put(instance: Any, value: float) -> float:
@@ -617,8 +622,8 @@ class MotorRecord(PVGroup):
 
     async def _set_offset(self, value: float) -> None:
         """Publish an offset, and all user coordinates with it. Nothing moves."""
-        await self.force("OFF", round(value, ROUNDING_DIGITS))
-        await self.force("VAL", self._to_user(self.get("DVAL")))
+        await self.publish_always("OFF", round(value, ROUNDING_DIGITS))
+        await self.publish_always("VAL", self._to_user(self.get("DVAL")))
         await self._set_limits(self.get("DLLM"), self.get("DHLM"))
 
     async def _put_direction(self, instance: Any, value: Any) -> Any:
@@ -640,26 +645,26 @@ class MotorRecord(PVGroup):
 
     async def _redefine_dial_position(self, dial: float, number: int) -> bool:
         """Make the present position a dial position, by the controller's counter; VAL stays if the offset is variable."""
-        await asyncio.wrap_future(self._controller.call(lambda stage: self._axis.set_dial(dial)))
+        await asyncio.wrap_future(self._controller.post_to_worker(lambda stage: self._axis.set_dial(dial)))
         self._reading = self._axis.read()
         user = self.get("VAL")
-        await self._follow()
+        await self._set_target_to_position()
         if not self._has_frozen_offset():
             await self._set_offset(user - self._sign * self.get("DVAL"))
         return False
 
-    def _make_choice(self, field: str, word: str) -> Callable[..., Awaitable[Any]]:
+    def _make_choice_putter(self, field: str, word: str) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to a field that chooses a word of another field."""
 
         async def put(instance: Any, value: int) -> int:
-            await self.force(field, word)
+            await self.publish_always(field, word)
             return value
 
         return put
 
     # --- other puts ---
 
-    def _make_speed(self, field: str, in_revolutions: bool = False) -> Callable[..., Awaitable[Any]]:
+    def _make_speed_putter(self, field: str, in_revolutions: bool = False) -> Callable[..., Awaitable[Any]]:
         """Return the function for puts to a speed, or to the same speed in revolutions a second."""
 
         async def put(instance: Any, value: float) -> float:
@@ -677,20 +682,20 @@ class MotorRecord(PVGroup):
 
     async def _set_speed(self, field: str, speed: float) -> None:
         """Publish a speed, and others clipped by it in silence, as the real record does."""
-        await self.force(field, speed)
+        await self.publish_always(field, speed)
         base, top = self.get("VBAS"), self.get("VMAX")
         if field == "VBAS" and 0 < top < base:
-            await self.force("VMAX", top := base)
+            await self.publish_always("VMAX", top := base)
         elif field == "VMAX" and 0 < top < base:
-            await self.force("VBAS", base := top)
+            await self.publish_always("VBAS", base := top)
         for other in CLIPPED_SPEEDS:
-            await self.set(other, min(max(self.get(other), base), top or math.inf))
+            await self.publish_if_changed(other, min(max(self.get(other), base), top or math.inf))
         await self._publish_revolutions()
 
     async def _publish_revolutions(self) -> None:
         """Publish the speeds in revolutions a second."""
         for field, rps in SPEED_PAIRS.items():
-            await self.set(rps, self.get(field) / self.get("UREV"))
+            await self.publish_if_changed(rps, self.get(field) / self.get("UREV"))
 
     async def _put_ramp(self, instance: Any, value: float) -> float:
         """Return the ramp to store: 0 or less becomes the default ramp, as in the real motor record.
@@ -703,7 +708,7 @@ class MotorRecord(PVGroup):
         await self.accept_request()
         if value > 0:
             return value
-        return self.get("JVEL") / REPLACED_ACCEL_S if instance is self._fields["JAR"] else REPLACED_ACCEL_S
+        return self.get("JVEL") / SUBSTITUTE_ACCEL_S if instance is self._fields["JAR"] else SUBSTITUTE_ACCEL_S
 
     async def _put_number(self, instance: Any, value: float) -> float:
         if not math.isfinite(value):
@@ -715,7 +720,7 @@ class MotorRecord(PVGroup):
     async def _put_retry_deadband(self, instance: Any, value: float) -> float:
         return max(await self._put_number(instance, value), self._axis.step)  # an axis cannot come nearer than a step
 
-    async def _refuse(self, instance: Any, value: Any) -> Any:
+    async def _refuse_resolution_change(self, instance: Any, value: Any) -> Any:
         await self.refuse_request(
             "the resolution of an axis follows from its motor and its model: MRES, ERES, UREV, SREV stay."
         )
@@ -742,6 +747,6 @@ async def _wait_for_monitors() -> None:
         await asyncio.sleep(delay_s)
 
 
-def _begin_move(dial: float, profile: Profile, axis: ControlledAxis) -> AxisAction | None:
+def _begin_move(dial: float, profile: MotionProfile, axis: ControlledAxis) -> AxisAction | None:
     """Begin a move of an axis to a dial position."""
     return axis.begin_move(dial, profile)

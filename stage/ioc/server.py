@@ -18,7 +18,7 @@ from stage.ioc.motor_record import MotorRecord
 from stage.sim.stage import Stage
 
 PORT_VARIABLES = ("EPICS_CA_SERVER_PORT", "EPICS_CAS_SERVER_PORT")
-LOCAL_HOST = "127.0.0.1"
+LOOPBACK_ADDRESS = "127.0.0.1"
 
 
 class Ioc:

@@ -18,7 +18,7 @@ A package outside this one is built in the same way: `python -m stage.native PAC
 from stage.native.arithmetic import floor, greatest, least
 from stage.native.compile_mode import COMPILED
 from stage.native.hot_functions import (
-    Exported,
+    ExportedFunction,
     array_of,
     declare_address_call,
     enter_usual_float_mode,
@@ -29,10 +29,10 @@ from stage.native.hot_functions import (
     restore_previous_float_mode,
     stack_mark,
 )
-from stage.native.record_dtypes import address_of, allocate_on_stack, array_at, record, without_attributes
+from stage.native.record_dtypes import address_of, allocate_on_stack, array_at, record, remove_attribute_access
 
 __all__ = [
-    "COMPILED", "Exported", "address_of", "array_at", "array_of", "declare_address_call", "enter_usual_float_mode",
+    "COMPILED", "ExportedFunction", "address_of", "array_at", "array_of", "declare_address_call", "enter_usual_float_mode",
     "make_compare_and_exchange", "exported", "floor", "get_frame_address", "greatest", "hot", "least", "record",
-    "restore_previous_float_mode", "allocate_on_stack", "stack_mark", "without_attributes",
+    "restore_previous_float_mode", "allocate_on_stack", "stack_mark", "remove_attribute_access",
 ]  # fmt: skip

@@ -17,9 +17,9 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.native import library_loader, record_dtypes
-from stage.native.compile_mode import COMPILED, EMITTING
+from stage.native.compile_mode import COMPILED, IS_EMITTER_PROCESS
 
-if EMITTING:
+if IS_EMITTER_PROCESS:
     from stage.native import numba_implementations
 
 _C_TYPES: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
@@ -50,28 +50,28 @@ def array_of(dtype: Any, dimensions: int = 1) -> ArrayArgument:
 
 def hot(function: Callable) -> Any:
     """Compile `function` into the compiled functions that call it. Called from Python it runs as Python; see `exported`."""
-    return numba_implementations.hot(function) if EMITTING else function
+    return numba_implementations.hot(function) if IS_EMITTER_PROCESS else function
 
 
-def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Exported]:
+def exported(result: str | None, *arguments: Any) -> Callable[[Callable], ExportedFunction]:
     """Compile the function as a function of the native library, which Python and C can call.
 
     Args:
         result: Type of the result, see this module; None for no result.
         arguments: Types of the arguments.
     """
-    return lambda function: Exported(function, result, arguments)
+    return lambda function: ExportedFunction(function, result, arguments)
 
 
-class Exported:
+class ExportedFunction:
     """Function of the native library.
 
     A call checks its arguments. `c` takes C arguments (addresses and lengths in place of records and arrays) without checks, and
     the caller must keep the memory alive.
     """
 
-    every: ClassVar[list[Exported]] = []
-    numbered: ClassVar[dict[int, Exported]] = {}
+    every: ClassVar[list[ExportedFunction]] = []
+    numbered: ClassVar[dict[int, ExportedFunction]] = {}
     """Functions by the numbers that stand for their addresses while nothing is compiled."""
 
     def __init__(self, function: Callable, result: str | None, arguments: tuple):
@@ -79,7 +79,7 @@ class Exported:
         self.module, self.name, self.__doc__ = function.__module__, function.__qualname__, function.__doc__
         self.symbol = f"{self.module}.{self.name}".replace("_", "_0").replace(".", "_1")
         self.every.append(self)
-        if EMITTING:
+        if IS_EMITTER_PROCESS:
             self.hot = numba_implementations.hot(function)
 
     def __call__(self, *args: Any) -> Any:
@@ -206,12 +206,12 @@ def declare_address_call(result: str | None, *arguments: Any) -> Any:
         result: Type of the result, None for no result.
         arguments: Types of the arguments.
     """
-    if EMITTING:
+    if IS_EMITTER_PROCESS:
         return numba_implementations.declare_address_call(result, arguments)
     prototype = _make_prototype(result, arguments)
 
     def call(address: int, args: tuple) -> Any:
-        function = Exported.numbered.get(int(address)) if not COMPILED else None
+        function = ExportedFunction.numbered.get(int(address)) if not COMPILED else None
         words = (float(g) if w == "f8" else int(g) for g, w in zip(args, arguments, strict=True))
         return function._call_uncompiled(*words) if function else prototype(int(address))(*words)
 
@@ -228,18 +228,24 @@ def make_compare_and_exchange(old: int | None, new: int | None) -> Any:
         old: Word before; None stands for the argument `word`.
         new: Word after; None stands for the argument `word`.
     """
-    return numba_implementations.make_compare_and_exchange(old, new) if EMITTING else lambda address, word: True
+    return (
+        numba_implementations.make_compare_and_exchange(old, new) if IS_EMITTER_PROCESS else lambda address, word: True
+    )
 
 
-enter_usual_float_mode: Callable[[], int] = numba_implementations.enter_usual_float_mode if EMITTING else lambda: 0
+enter_usual_float_mode: Callable[[], int] = (
+    numba_implementations.enter_usual_float_mode if IS_EMITTER_PROCESS else lambda: 0
+)
 """From now on this thread computes as usual: rounding to nearest, no traps, small numbers kept. Returns the mode of before."""
 restore_previous_float_mode: Callable[[int], None] = (
-    numba_implementations.restore_previous_float_mode if EMITTING else lambda mode: None
+    numba_implementations.restore_previous_float_mode if IS_EMITTER_PROCESS else lambda mode: None
 )
 """Restore a floating-point mode that `enter_usual_float_mode` has returned, for this thread."""
-get_frame_address: Callable[[], int] = numba_implementations.get_frame_address if EMITTING else lambda: 0
+get_frame_address: Callable[[], int] = numba_implementations.get_frame_address if IS_EMITTER_PROCESS else lambda: 0
 """Return the approximate stack address of the calling function; 0 if it runs uncompiled."""
-stack_mark: Callable[[int, int], int] = numba_implementations.stack_mark if EMITTING else lambda words, value: 0
+stack_mark: Callable[[int, int], int] = (
+    numba_implementations.stack_mark if IS_EMITTER_PROCESS else lambda words, value: 0
+)
 """(words, value) -> the address of so many words, `value` and up, on the stack of the function that says this, for as long as it
 has not returned; uncompiled 0. `words` is written out."""
 
@@ -266,5 +272,5 @@ def _format_dtype(dtype: np.dtype) -> str:
     return f"a record of {', '.join(dtype.names[:3])} ..." if dtype.names else str(dtype)
 
 
-if EMITTING:
-    numba_implementations.register(Exported)
+if IS_EMITTER_PROCESS:
+    numba_implementations.register_exported_type(ExportedFunction)

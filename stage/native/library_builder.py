@@ -35,7 +35,7 @@ NUMBA = "0.68.1"
 """The only version of numba that builds libraries, because results depend on the code that numba generates."""
 
 
-DEPTH = 3
+PART_NAME_DEPTH = 3
 """Number of names in the name of a part, for example `stage.chips.nova`, whose subfolders belong to the same part."""
 
 COMPILERS = tuple(filter(None, (os.environ.get("CC"), "cc", "clang", "gcc")))
@@ -109,7 +109,7 @@ def _build_library(package: str, package_folders: dict[str, Path], folder: Path)
     sources: dict[str, str] = {}
     objects, missing = [], []
     for name, modules in parts.items():
-        closure = _find_dependencies(modules, known)
+        closure = _digest_dependencies(modules, known)
         sources |= {m.partition(" ")[0]: library_manifest.digest_file(known[m.partition(" ")[0]]) for m in closure}
         digest = hashlib.sha256(
             json.dumps([modules, closure, NUMBA, library_manifest.describe_target(), processor]).encode()
@@ -150,13 +150,13 @@ def _list_parts(package: str, package_folders: dict[str, Path]) -> dict[str, lis
     parts: dict[str, list[str]] = {}
     for module in library_manifest.find_exporting_modules(package_folders):
         folder = module.rpartition(".")[0]
-        parts.setdefault(".".join(folder.split(".")[:DEPTH]), []).append(module)
+        parts.setdefault(".".join(folder.split(".")[:PART_NAME_DEPTH]), []).append(module)
     if not parts:
         raise NativeError(f"package {package!r} exports no compiled function.")
     return parts
 
 
-def _find_dependencies(modules: list[str], known: dict[str, Path]) -> dict[str, str]:
+def _digest_dependencies(modules: list[str], known: dict[str, Path]) -> dict[str, str]:
     """Return the digests of all code on which the object file of some modules depends, sorted by name.
 
     Args:

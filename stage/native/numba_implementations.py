@@ -54,7 +54,7 @@ array_at: Any = intrinsic(_view_array)
 """See stage.native.record_dtypes."""
 
 
-def _allocate_room(_context: Any, rows: Any, columns: Any) -> Any:
+def _implement_allocate_on_stack(_context: Any, rows: Any, columns: Any) -> Any:
     """Implement `allocate_on_stack`: an array on the stack."""
     kind = types.Array(types.float64, 2, "C")
 
@@ -70,7 +70,7 @@ def _allocate_room(_context: Any, rows: Any, columns: Any) -> Any:
     return kind(rows, columns), lower
 
 
-allocate_on_stack: Any = intrinsic(prefer_literal=True)(_allocate_room)
+allocate_on_stack: Any = intrinsic(prefer_literal=True)(_implement_allocate_on_stack)
 """See stage.native.record_dtypes."""
 
 
@@ -78,7 +78,7 @@ _FLOAT_MODES = {"x86_64": 0x1F80, "AMD64": 0x1F80, "aarch64": 0, "arm64": 0}
 """The usual mode of arithmetic, in the processor's own bits: rounding to nearest, no traps, small numbers kept."""
 
 
-def _set_usual_mode(_context: Any) -> Any:
+def _implement_enter_usual_float_mode(_context: Any) -> Any:
     """Implement `enter_usual_float_mode`.
 
     The call sets the processor's floating-point control word (MXCSR, FPCR) to its value in _FLOAT_MODES, and returns the old word.
@@ -94,7 +94,7 @@ def _set_usual_mode(_context: Any) -> Any:
     return types.int64(), lower
 
 
-def _restore_mode(_context: Any, mode: Any) -> Any:
+def _implement_restore_previous_float_mode(_context: Any, mode: Any) -> Any:
     """Implement `restore_previous_float_mode`: set the processor's floating-point control word (MXCSR, FPCR) to `mode`.
 
     Args:
@@ -137,8 +137,8 @@ def _set_float_mode(builder: Any, mode: Any) -> None:
     builder.call(load, [builder.bitcast(place, cgutils.voidptr_t)])
 
 
-enter_usual_float_mode: Any = intrinsic(_set_usual_mode)
-restore_previous_float_mode: Any = intrinsic(_restore_mode)
+enter_usual_float_mode: Any = intrinsic(_implement_enter_usual_float_mode)
+restore_previous_float_mode: Any = intrinsic(_implement_restore_previous_float_mode)
 """See stage.native.hot_functions."""
 
 
@@ -153,7 +153,7 @@ def _read_frame_address(_context: Any) -> Any:
     return types.int64(), lower
 
 
-def _stack_mark(_context: Any, words: Any, value: Any) -> Any:
+def _implement_stack_mark(_context: Any, words: Any, value: Any) -> Any:
     """Implement `stack_mark`: fill words on the stack with `value`, `value` + 1 ..., and return their address."""
     if not isinstance(words, types.IntegerLiteral):
         raise TypingError("stack_mark() takes a number of words that is known when it is compiled.")
@@ -170,7 +170,7 @@ def _stack_mark(_context: Any, words: Any, value: Any) -> Any:
 
 
 get_frame_address: Any = intrinsic(_read_frame_address)
-stack_mark: Any = intrinsic(prefer_literal=True)(_stack_mark)
+stack_mark: Any = intrinsic(prefer_literal=True)(_implement_stack_mark)
 """See stage.native.hot_functions."""
 
 
@@ -184,7 +184,7 @@ def get_numba_type(kind: Any) -> Any:
     return numba.from_dtype(np.dtype(dtype))
 
 
-def register(exported: type) -> None:
+def register_exported_type(exported: type) -> None:
     """Register the type of exported functions with numba, so that hot functions can call them.
 
     Functions are called by their symbols; those that take arrays are compiled into their callers.

@@ -106,7 +106,7 @@ def _gather_libraries(library: Any, libraries: dict[int, Any]) -> None:
             _gather_libraries(other, libraries)
 
 
-def _make_entry(function: Any, context: Any) -> Iterator[Any]:
+def _iterate_entry_code(function: Any, context: Any) -> Iterator[Any]:
     """Yield the code of an exported function: its entry for C, and the code that numba has made of the function."""
     from stage.native.numba_implementations import get_numba_type, lower_array
 
@@ -152,12 +152,12 @@ def emit_object(modules: list[str], context: Any) -> bytes:
     """
     for name in modules:
         import_module(name)
-    from stage.native.hot_functions import Exported
+    from stage.native.hot_functions import ExportedFunction
 
-    functions = [f for f in Exported.every if f.module in modules]
+    functions = [f for f in ExportedFunction.every if f.module in modules]
     gathered: dict[int, Any] = {}
     for function in functions:
-        for library in _make_entry(function, context):
+        for library in _iterate_entry_code(function, context):
             _gather_libraries(library, gathered)
     generator = context.codegen()
     linked = llvm.parse_assembly(str(generator._create_empty_module(modules[0])))
@@ -176,7 +176,7 @@ def emit_object(modules: list[str], context: Any) -> bytes:
     linked.verify()
     passes, builder = generator._module_pass_manager()
     passes.run(linked, builder)
-    _refuse_missing_symbols(linked, {f.symbol for f in Exported.every}, modules)
+    _refuse_missing_symbols(linked, {f.symbol for f in ExportedFunction.every}, modules)
     return bytes(generator._tm.emit_object(linked))
 
 
@@ -194,7 +194,7 @@ def _refuse_missing_symbols(linked: Any, exported: set[str], modules: list[str])
             )
 
 
-def _emit_next_part(next_part: Any, parts: list[list[str]], context: Any) -> None:
+def _emit_remaining_parts(next_part: Any, parts: list[list[str]], context: Any) -> None:
     """Compile one part after another, always the next one that no other process has begun."""
     while True:
         with next_part:
@@ -224,7 +224,8 @@ def main() -> int:
     fork = get_context("fork")
     next_part = fork.Value("q")
     workers = [
-        fork.Process(target=_emit_next_part, args=(next_part, job["parts"], context)) for _ in range(job["workers"])
+        fork.Process(target=_emit_remaining_parts, args=(next_part, job["parts"], context))
+        for _ in range(job["workers"])
     ]
     for worker in workers:
         worker.start()

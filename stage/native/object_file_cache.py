@@ -17,7 +17,7 @@ def write_object(path: Path, content: bytes) -> None:
     Raises:
         OSError: The file cannot be written.
     """
-    for target, written in ((path, content), (_digest_path(path), hashlib.sha256(content).hexdigest().encode())):
+    for target, written in ((path, content), (_get_digest_path(path), hashlib.sha256(content).hexdigest().encode())):
         part = Path(f"{target}.part")
         with part.open("wb") as file:
             file.write(written)
@@ -29,11 +29,11 @@ def write_object(path: Path, content: bytes) -> None:
 def is_intact(path: Path) -> bool:
     """Return whether an object file is unchanged since it was written."""
     try:
-        return _digest_path(path).read_bytes() == hashlib.sha256(path.read_bytes()).hexdigest().encode()
+        return _get_digest_path(path).read_bytes() == hashlib.sha256(path.read_bytes()).hexdigest().encode()
     except OSError:
         return False
 
 
-def _digest_path(path: Path) -> Path:
+def _get_digest_path(path: Path) -> Path:
     """Return the path of the digest file beside an object file."""
     return Path(f"{path}.sha256")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.native.compile_mode import COMPILED, EMITTING
+from stage.native.compile_mode import COMPILED, IS_EMITTER_PROCESS
 
 
 def record(fields: list) -> np.dtype:
@@ -21,7 +21,7 @@ def record(fields: list) -> np.dtype:
         fields: Fields as NumPy takes them.
     """
     plainly = np.dtype(fields)
-    return np.dtype((np.record if COMPILED or EMITTING else _make_fast_record(plainly), plainly))
+    return np.dtype((np.record if COMPILED or IS_EMITTER_PROCESS else _make_fast_record(plainly), plainly))
 
 
 class _FastRecordType(type):
@@ -54,7 +54,7 @@ def _make_fast_record(dtype: np.dtype) -> type:
     return _FastRecordType("record", (np.record,), members)
 
 
-def without_attributes(dtype: np.dtype) -> np.dtype:
+def remove_attribute_access(dtype: np.dtype) -> np.dtype:
     """Return a dtype with the same fields whose elements have no attributes, so that access by `element["name"]` is faster."""
     return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
 
@@ -91,7 +91,7 @@ def _view_array(address: Any, shape: Any, dtype: Any) -> Any:
 array_at: Any = _view_array
 
 
-def _allocate_room(rows: int, columns: int) -> np.ndarray:
+def _allocate_on_stack(rows: int, columns: int) -> np.ndarray:
     """Allocate an array of float64 on the stack of the calling function; it ends when that function returns.
 
     Both arguments must be literals or constants of the module.
@@ -99,8 +99,8 @@ def _allocate_room(rows: int, columns: int) -> np.ndarray:
     return np.empty((rows, columns))
 
 
-allocate_on_stack: Any = _allocate_room
-if EMITTING:
+allocate_on_stack: Any = _allocate_on_stack
+if IS_EMITTER_PROCESS:
     from stage.native import numba_implementations
 
     array_at, allocate_on_stack = numba_implementations.array_at, numba_implementations.allocate_on_stack

@@ -206,7 +206,7 @@ class ControlsAssignment:
         """
         self._release.setdefault(browser, []).append(release)
 
-    def remove_browser(self, browser: str) -> None:
+    def disconnect_browser(self, browser: str) -> None:
         """Remove a browser that no longer shows the panel. The functions that `call_when_controls_lost` registered stay."""
         with self._lock:
             if browser in self._browsers:
@@ -216,9 +216,9 @@ class ControlsAssignment:
                 self.holder = self._browsers[0] if self._browsers else None
         self._release_buttons(browser if is_lost else None)
 
-    def forget_browser(self, browser: str) -> None:
+    def delete_browser(self, browser: str) -> None:
         """Remove a browser that will not come back, with its functions of `call_when_controls_lost`."""
-        self.remove_browser(browser)
+        self.disconnect_browser(browser)
         self._release.pop(browser, None)
 
     def give_controls_to(self, browser: str) -> None:

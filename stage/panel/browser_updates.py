@@ -1,9 +1,10 @@
 """`BrowserUpdates`: send all values of a page that change many times a second to a browser, in one message for each frame.
 
     updates = BrowserUpdates()
-    updates.show_text(element, lambda: f"{session.view.time:.4f} s")
-    updates.show_lamp(element, lambda: axis.switches.org)
-    updates.call_method(chart, "run_chart_method", lambda: ["setOption", message])      a function that returns None sends nothing
+    updates.bind_text(element, lambda: f"{session.view.time:.4f} s")
+    updates.bind_lamp(element, lambda: axis.switches.org)
+    updates.call_method_repeatedly(chart, "run_chart_method",
+    lambda: ["setOption", message])      a function that returns None sends nothing
 
 An update by NiceGUI makes the browser compare the whole page, which takes about 50 ms if front panels are open: too slow for a
 clock. The next message waits until the browser has drawn the last one, so a slow browser gets fewer frames, but no late ones.
@@ -17,7 +18,7 @@ from typing import Any
 
 from nicegui import ui
 
-FRAMES = 25  # a second, at max_lines
+FRAMES_PER_S = 25  # a second, at max_lines
 TEXT_INTERVAL_S = 0.1  # s between texts: nobody reads faster
 ANSWER_TIMEOUT_S = 10.0  # s: a browser that has not answered by then is sent everything again
 
@@ -36,19 +37,19 @@ class BrowserUpdates(ui.element, component="live.js"):
         self._sent_values: dict[int, str | bool] = {}
         self._called: dict[int, float] = {}
         self._read = 0.0
-        ui.timer(1 / FRAMES, self._send_frame)
+        ui.timer(1 / FRAMES_PER_S, self._send_frame)
 
-    def show_text(self, element: ui.element, read: Callable[[], str]) -> ui.element:
+    def bind_text(self, element: ui.element, read: Callable[[], str]) -> ui.element:
         """Update the text of an element to what `read()` returns, from now on; return the element."""
         self._texts[element.id] = element, read
         return element
 
-    def show_lamp(self, element: ui.element, read: Callable[[], bool]) -> ui.element:
+    def bind_lamp(self, element: ui.element, read: Callable[[], bool]) -> ui.element:
         """Give an element the CSS class `on` while `read()` returns True, from now on; return the element."""
         self._lamps[element.id] = element, read
         return element
 
-    def call_method(
+    def call_method_repeatedly(
         self, element: ui.element, method: str, read: Callable[[], list | None], interval_s: float = 0.0
     ) -> None:
         """Call a method of an element in the browser again and again, from now on.
@@ -123,7 +124,7 @@ class TextLog(ui.element, component="lines.js"):
         self._props["most"] = max_lines
         self._new: list[tuple[str, str, int]] = []
         self._max_lines = max_lines
-        updates.call_method(self, "push", self._take_unsent_lines)
+        updates.call_method_repeatedly(self, "push", self._take_unsent_lines)
 
     def append(self, text: str, kind: str = "", key: int = 0) -> None:
         """Add a line.

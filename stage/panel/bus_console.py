@@ -11,7 +11,7 @@ from nicegui.events import GenericEventArguments
 from stage.errors import StageError
 from stage.panel.browser_updates import BrowserUpdates, TextLog
 from stage.panel.chip_panel import list_axis_names, make_bus_cycles
-from stage.panel.register_text import list_completions, parse_line
+from stage.panel.front_panel_content import list_completions, parse_line
 from stage.panel.stage_observer import DIAGNOSTIC, MAX_LINES, build_chip_view
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from nicegui.events import GenericEventArguments
 from stage.chips.register_map import Field, Register, Word
 from stage.errors import ArgumentError, StageError
 from stage.panel.browser_updates import BrowserUpdates, on_single_click
-from stage.panel.register_text import (
+from stage.panel.front_panel_content import (
     BusCycle,
     CommandButton,
     FrontPanel,
@@ -367,7 +367,7 @@ class ChipCard:
             ui.label(title).classes("section")
             for name in pins:
                 lamp = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
-                self.updates.show_lamp(lamp, partial(self._is_asserted, title, name))
+                self.updates.bind_lamp(lamp, partial(self._is_asserted, title, name))
 
     def _is_asserted(self, direction: str, name: str) -> bool:
         view = self.panel.observer.chips.get((self.k, self.axis))

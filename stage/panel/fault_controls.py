@@ -128,12 +128,12 @@ class FaultControls:
         self.session = session
         self._active_faults: list[ActiveFault] = []
         self._pushes: dict[str, float] = {}
-        self._end_observing = session.call_after_slices(self._keep_pushing)
+        self._end_observing = session.call_after_pacing_intervals(self._reapply_pushes)
 
     # --- faults ---
 
     @property
-    def in_force(self) -> list[ActiveFault]:
+    def faults_in_force(self) -> list[ActiveFault]:
         """Faults that these controls have made and that are in force, in the order in which they were made."""
         return [active for active in tuple(self._active_faults) if active.fault.in_force]
 
@@ -168,7 +168,7 @@ class FaultControls:
         form = next(form for form in self.list_forms(axis) if form.name == name)
         values = {field: BOOLEANS.get(value, value) for field, value in parse_fields(form.fields, texts).items()}
         request = FaultRequest(name, axis, {field: str(text) for field, text in texts.items()})
-        for active in self.in_force:
+        for active in self.faults_in_force:
             if active.request == request:
                 raise ArgumentError(f"{active.text}: this fault is in force already. Clear it, or make another one.")
         stage = self.session.stage
@@ -188,7 +188,7 @@ class FaultControls:
 
     def _add_active_fault(self, fault: Fault, request: FaultRequest) -> ActiveFault:
         active = ActiveFault(fault, request)
-        self._active_faults = [*self.in_force, active]
+        self._active_faults = [*self.faults_in_force, active]
         return active
 
     def _build_field(self, axis_name: str, p: inspect.Parameter) -> FormField:
@@ -239,7 +239,7 @@ class FaultControls:
         nominal = next(iter(self.session.stage.axes.values())).drive.bus_voltage
 
         def order(stage: Stage) -> None:
-            before = [active for active in self.in_force if not active.request.axis]
+            before = [active for active in self.faults_in_force if not active.request.axis]
             if volts != nominal:
                 request = FaultRequest("bus_voltage", "", {"volts": f"{volts!r}"})
                 self._add_active_fault(faults.bus_voltage(stage, volts), request)
@@ -277,11 +277,11 @@ class FaultControls:
         def order(stage: Stage) -> None:
             stage.prepare_change()
             self._pushes[axis] = force
-            self._keep_pushing(stage)
+            self._reapply_pushes(stage)
 
         self.session.do(order)
 
-    def _keep_pushing(self, stage: Stage) -> None:
+    def _reapply_pushes(self, stage: Stage) -> None:
         """Set the forces of all pushes again after each slice: a restored snapshot may hold other forces."""
         for axis, force in self._pushes.items():
             stage.data.qfrc_applied[stage.axes[axis].plant.dof] = force

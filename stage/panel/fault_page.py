@@ -163,7 +163,7 @@ class FaultPanel:
         """Update the sliders, and the list of faults if it has changed."""
         for update in self._slider_updates:
             update()
-        faults = [(active, active.text) for active in self.fault_controls.in_force]
+        faults = [(active, active.text) for active in self.fault_controls.faults_in_force]
         if faults == self._displayed:
             return
         self._displayed = faults

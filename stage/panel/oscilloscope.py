@@ -30,11 +30,11 @@ from stage.recording.rerun_scene import to_time_column
 from stage.support.extras import import_extra
 from stage.support.identifier_escapes import escape_name
 
-MIN_SPAN_S = 1e-3
-SPANS = (1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+MIN_WINDOW_LENGTH_S = 1e-3
+WINDOW_LENGTHS_S = (1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 MODES = ("free", "auto", "normal", "single")
 DIAGNOSTIC, LOST = "a diagnostic", "a lost step"
-BEFORE = 0.25  # part of the window before the trigger
+PRETRIGGER_SHARE = 0.25  # part of the window before the trigger
 AUTO_TIMEOUT_S = 1.0  # s of simulated time after which "auto" shows the newest window
 
 
@@ -84,8 +84,8 @@ class Oscilloscope:
 
     def set_window_length(self, window_s: float) -> None:
         """Set the length of the time window, s. Raises ArgumentError if `window_s` is out of range."""
-        if not MIN_SPAN_S <= window_s <= MAX_AGE_S:
-            raise ArgumentError(f"window_s={window_s!r}: a window of {MIN_SPAN_S:g} to {MAX_AGE_S:g} s.")
+        if not MIN_WINDOW_LENGTH_S <= window_s <= MAX_AGE_S:
+            raise ArgumentError(f"window_s={window_s!r}: a window of {MIN_WINDOW_LENGTH_S:g} to {MAX_AGE_S:g} s.")
         self.window_s = float(window_s)
         if self._running:
             return
@@ -158,7 +158,7 @@ class Oscilloscope:
                 self._trigger_time, self._window = None, newest
 
     def _compute_window(self, trigger: float) -> tuple[float, float]:
-        return trigger - BEFORE * self.window_s, trigger + (1 - BEFORE) * self.window_s
+        return trigger - PRETRIGGER_SHARE * self.window_s, trigger + (1 - PRETRIGGER_SHARE) * self.window_s
 
     def _find_trigger(self, now: float) -> float | None:
         """Return the time, s, of the trigger since `arm` to show, or None if there was no trigger.
@@ -168,7 +168,7 @@ class Oscilloscope:
         times = self._list_triggers(now)
         if not len(times):
             return None
-        full = times[times + (1 - BEFORE) * self.window_s <= now]
+        full = times[times + (1 - PRETRIGGER_SHARE) * self.window_s <= now]
         return float(full[-1] if len(full) and self.mode != "single" else times[0])
 
     def _list_triggers(self, now: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from stage.panel.oscilloscope import (
     FORMATS,
     LOST,
     MODES,
-    SPANS,
+    WINDOW_LENGTHS_S,
     Oscilloscope,
     OscilloscopeFrame,
     format_heading,
@@ -57,8 +57,8 @@ class OscilloscopeView:
                 self.run_button = ui.button("Freeze", icon="ac_unit", on_click=self._toggle_running)
                 self.run_button.props("dense outline no-caps data-test=run")
                 self.run_button.tooltip("freeze the picture, or let it follow the time; nothing stops")
-                spans = {s: f"{s * 1e3:g} ms" if s < 1 else f"{s:g} s" for s in SPANS}
-                self._build_select("window", "span", 100, spans, self.scope.window_s, self._set_span)
+                spans = {s: f"{s * 1e3:g} ms" if s < 1 else f"{s:g} s" for s in WINDOW_LENGTHS_S}
+                self._build_select("window", "span", 100, spans, self.scope.window_s, self._set_window_length)
                 self.mode = self._build_select("trigger", "mode", 104, modes, "free", self._set_trigger)
                 self.traces = self._build_select(
                     "traces", "traces", 96, titles, self.scope.names, self._select_traces, True
@@ -68,7 +68,7 @@ class OscilloscopeView:
                     .classes("scope-state text-caption number col ellipsis")
                     .props("data-test=scope-state")
                 )
-                updates.show_text(state, self._describe_state)
+                updates.bind_text(state, self._describe_state)
                 with (
                     ui.button(icon="save_alt").props("flat dense round aria-label='save the window' data-test=export"),
                     ui.menu(),
@@ -86,7 +86,7 @@ class OscilloscopeView:
             self.trigger_row.set_visibility(False)
             self.chart = ui.echart({}).classes("w-full").props("data-test=chart")
             self._build_charts()
-        updates.call_method(self.chart, "run_chart_method", self._build_next_message, FRAME_INTERVAL_S)
+        updates.call_method_repeatedly(self.chart, "run_chart_method", self._build_next_message, FRAME_INTERVAL_S)
 
     def _build_select(
         self,
@@ -108,7 +108,7 @@ class OscilloscopeView:
     def _toggle_running(self) -> None:
         self.scope.running = not self.scope.running
 
-    def _set_span(self, event: Any) -> None:
+    def _set_window_length(self, event: Any) -> None:
         self.scope.set_window_length(event.value)
 
     def _select_traces(self, event: Any) -> None:

@@ -19,7 +19,7 @@ from stage.panel.chip_panel import ChipCard
 from stage.panel.fault_page import FaultPanel
 from stage.panel.oscilloscope_page import OscilloscopeView
 from stage.panel.procedure_page import ProcedurePanel, StopButtons
-from stage.panel.session import FREE
+from stage.panel.session import UNPACED_SPEED
 from stage.panel.stage_scene import build_scene
 from stage.panel.tour_page import STYLE as TOUR_STYLE
 from stage.panel.tour_page import TourView
@@ -69,19 +69,19 @@ def build_readout(panel: Panel, updates: BrowserUpdates) -> None:
             with ui.element("div").classes("axis").mark(f"axis-{name}"):
                 ui.label(axis.name).classes("text-weight-bold").tooltip(type(axis.chip).__name__)
                 motor = ui.element("div").classes("text-caption").props(f'data-test="motor-{name}"')
-                updates.show_text(motor, partial(read_motor, axis))
+                updates.bind_text(motor, partial(read_motor, axis))
             for column, title in enumerate(READOUT):
                 cell = ui.element("div").classes(f"number {title}").props(f'data-test="{title.split()[0]}-{name}"')
-                updates.show_text(cell, partial(read_cell, axis, column))
+                updates.bind_text(cell, partial(read_cell, axis, column))
             with ui.element("div").classes("switches"):
                 for switch in axis.switches.as_dict():
                     lamp = ui.label(switch.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
-                    updates.show_lamp(lamp.props(f'data-test="switch-{name}-{switch}"'), partial(is_on, axis, switch))
+                    updates.bind_lamp(lamp.props(f'data-test="switch-{name}-{switch}"'), partial(is_on, axis, switch))
 
 
-SPEEDS = {speed: f"{speed:g} x" for speed in (0.01, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0)} | {FREE: "full speed"}
-BACK_S = (0.1, 1.0, 5.0, 30.0)
-MIN_ACHIEVED = 0.95  # of the speed that was requested: the page reports less
+SPEEDS = {speed: f"{speed:g} x" for speed in (0.01, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0)} | {UNPACED_SPEED: "full speed"}
+REWIND_CHOICES_S = (0.1, 1.0, 5.0, 30.0)
+MIN_ACHIEVED_SPEED_SHARE = 0.95  # of the speed that was requested: the page reports less
 FILES = {
     "panel.zip": ("everything, to go on from here", "panel"),
     "program.py": ("the program as Python", "program"),
@@ -99,7 +99,7 @@ class Toolbar:
         self._panel, self._gate = panel, gate
         ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
         with _build_icon_button("fast_rewind", "rewind simulated time", "back") as rewind, ui.menu():
-            for seconds in BACK_S:
+            for seconds in REWIND_CHOICES_S:
                 item = ui.menu_item(f"rewind by {seconds:g} s", partial(self._go_back, seconds))
                 item.props(f"data-test=back-{seconds:g}")
         gate.require_driving_rights(rewind)
@@ -112,9 +112,9 @@ class Toolbar:
         gate.require_controls(select)
         clock = ui.element("div").classes("number")
         clock.props("data-test=time role=timer aria-label='simulated time'")
-        updates.show_text(clock, lambda: f"{session.view.time:.4f} s")
+        updates.bind_text(clock, lambda: f"{session.view.time:.4f} s")
         pace = ui.element("div").classes("number text-caption ellipsis").props("data-test=pace")
-        updates.show_text(pace, self._describe_pace)
+        updates.bind_text(pace, self._describe_pace)
         ui.space()
         self._action = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
         self._abandon = _build_icon_button(
@@ -146,8 +146,8 @@ class Toolbar:
         self._controls = on_single_click(ui.button(), lambda: controls.give_controls_to(client_id))
         self._controls.props("flat dense no-caps color=white data-test=controls")
         context.client.on_connect(lambda: controls.add_browser(client_id))
-        context.client.on_disconnect(lambda: controls.remove_browser(client_id))
-        context.client.on_delete(lambda: controls.forget_browser(client_id))
+        context.client.on_disconnect(lambda: controls.disconnect_browser(client_id))
+        context.client.on_delete(lambda: controls.delete_browser(client_id))
 
     def _build_power_up_dialog(self) -> ui.dialog:
         """Build the question that the button for power-up asks."""
@@ -174,9 +174,9 @@ class Toolbar:
 
     def _toggle_program(self) -> None:
         if self._session.program_suspended:
-            self._session.give_back()
+            self._session.resume_program()
         else:
-            self._session.take_over()
+            self._session.suspend_program()
 
     async def _go_back(self, seconds: float) -> None:
         try:
@@ -187,9 +187,9 @@ class Toolbar:
     async def _save_file(self, file: str) -> None:
         try:
             if file == "panel.zip":
-                data = await run.io_bound(saved_panel.save_panel, self._panel) or b""
+                data = await run.io_bound(saved_panel.pack_panel, self._panel) or b""
             else:
-                data = ((await run.io_bound(saved_panel.write_program, self._panel, file)) or "").encode()
+                data = ((await run.io_bound(saved_panel.format_program, self._panel, file)) or "").encode()
         except StageError as error:
             ui.notify(str(error), type="negative", multi_line=True)
         else:
@@ -199,7 +199,9 @@ class Toolbar:
         speed, achieved = self._session.speed, self._session.view.achieved_speed
         if self._session.paused:
             return "stands still"
-        return f"{achieved:.2f} x" + (", cannot keep up" if speed != FREE and achieved < MIN_ACHIEVED * speed else "")
+        return f"{achieved:.2f} x" + (
+            ", cannot keep up" if speed != UNPACED_SPEED and achieved < MIN_ACHIEVED_SPEED_SHARE * speed else ""
+        )
 
     def _update(self) -> None:
         session, view = self._session, self._session.view

@@ -397,7 +397,7 @@ class Jog:
         return report
 
 
-def draw_operation_pattern(report: Any) -> str:
+def render_operation_pattern_svg(report: Any) -> str:
     """Return the operation pattern of a report as SVG. Raises StageError if the report has none or matplotlib is missing."""
     figure = report.plot()
     if figure is None:

@@ -18,9 +18,9 @@ from stage.panel.procedure_forms import (
     FormField,
     Jog,
     ProcedureForm,
-    draw_operation_pattern,
     find_field,
     list_jog_fields,
+    render_operation_pattern_svg,
     to_field_error,
 )
 from stage.panel.session import ActionStopped
@@ -95,7 +95,7 @@ class ProcedureOutcome(NamedTuple):
 NO_OUTCOME = ProcedureOutcome()
 
 
-class ProcedureReports:
+class ProcedureOutcomes:
     """Last outcome of each form of a panel. All browsers show them, also after a reload of the page.
 
     After a power-up, or when somebody goes back in time, the outcomes of what has not happened any more are marked, and
@@ -105,7 +105,7 @@ class ProcedureReports:
     def __init__(self, session: Session):
         self._session, self._time, self._rewinds = session, 0.0, 0
         self._outcomes: dict[str, ProcedureOutcome] = {}
-        self._end_observing = session.call_after_slices(self._mark_undone_outcomes)
+        self._end_observing = session.call_after_pacing_intervals(self._mark_undone_outcomes)
 
     def close(self) -> None:
         """Stop observing the stage."""
@@ -152,7 +152,7 @@ class ProcedureReports:
         self.set_outcome(form, f"{title} ...")
         rewinds = self._rewinds
         try:
-            report = await asyncio.wrap_future(self._session.act(title, action))
+            report = await asyncio.wrap_future(self._session.queue_action(title, action))
         except ActionStopped:
             is_undone = self._rewinds != rewinds
             self.set_outcome(form, "" if is_undone else f"{title}: stopped.", was_stopped=not is_undone)
@@ -172,7 +172,7 @@ class ProcedureReports:
         if not hasattr(report, "plot"):
             return
         try:
-            drawn = outcome._replace(picture=await run.io_bound(draw_operation_pattern, report) or "")
+            drawn = outcome._replace(picture=await run.io_bound(render_operation_pattern_svg, report) or "")
         except StageError as error:
             drawn = outcome._replace(text=f"{outcome.text}\n{error}")
         if self._outcomes[form] is outcome:
@@ -182,7 +182,7 @@ class ProcedureReports:
 class OutcomeView:
     """Part of the page that shows the last outcome of a form in one browser."""
 
-    def __init__(self, reports: ProcedureReports):
+    def __init__(self, reports: ProcedureOutcomes):
         self._reports, self._displayed = reports, NO_OUTCOME
         self._undone = ui.label().classes("report text-caption text-italic").props("data-test=undone")
         self._text = ui.label().classes("report number").style("white-space: pre-wrap; font-size: 12px")

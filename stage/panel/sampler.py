@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
     from stage.sim.stage import Stage
 
-ROWS = 4096  # of the engine's buffer: a second, far more than a slice
-FINE_S = 2.0  # physics steps that are kept
+BUFFER_ROWS = 4096  # of the engine's buffer: a second, far more than a slice
+FINE_HISTORY_S = 2.0  # physics steps that are kept
 INTERVAL_S, MAX_AGE_S = 1e-3, 60.0  # between the samples of long windows, and how far they go back
 MAX_EVENTS = 500  # diagnostics that are kept
 
@@ -163,13 +163,13 @@ class Sampler:
         stage = session.stage
         self.session, self.traces = session, find_traces(stage)
         axes = len(stage.axes)
-        self.samples = np.zeros((ROWS, axes), SAMPLE)
-        self.positions = np.zeros((ROWS, stage.model.nq))
+        self.samples = np.zeros((BUFFER_ROWS, axes), SAMPLE)
+        self.positions = np.zeros((BUFFER_ROWS, stage.model.nq))
         self.filled = 0
         self.dt = stage.state.dt * 1e-9
         self._thin = max(1, round(INTERVAL_S / self.dt))
         self.lock = threading.Lock()
-        self._fine = SampleBuffer(max(64, round(FINE_S / self.dt)), axes)
+        self._fine = SampleBuffer(max(64, round(FINE_HISTORY_S / self.dt)), axes)
         self._coarse = SampleBuffer(max(64, round(MAX_AGE_S / self._thin / self.dt)), axes)
         self._phase = 0
         self._recording, self._read = None, 0
@@ -179,7 +179,7 @@ class Sampler:
         self._end_observing = lambda: None
         if axes:
             session.do(self._connect_source)
-            self._end_observing = session.call_after_slices(self._after_slice)
+            self._end_observing = session.call_after_pacing_intervals(self._update_after_pacing_interval)
 
     # --- in the stage's thread ---
 
@@ -223,7 +223,7 @@ class Sampler:
         stage.state.clockwork[0].sample_every = 1
         stage.state.world[0].to_sample = 1
 
-    def _after_slice(self, stage: Stage) -> None:
+    def _update_after_pacing_interval(self, stage: Stage) -> None:
         """After each slice, connect to the source again, drop samples and events of the future, and collect diagnostics."""
         self._connect_source(stage)
         self._forget_from(math.nextafter(stage.time, math.inf))

@@ -33,7 +33,7 @@ from stage.errors import ArgumentError, StageError
 from stage.panel import oscilloscope
 from stage.panel.fault_controls import FaultRequest
 from stage.panel.sampler import MAX_AGE_S
-from stage.sim.engine_records import SECOND
+from stage.sim.engine_records import NS_PER_SECOND
 from stage.sim.stage import Snapshot
 from stage.support import axis_value_parsing
 from stage.support.extras import ExtraMissing
@@ -60,7 +60,7 @@ class ProgramCycle(NamedTuple):
     value: int | None
 
 
-def write_stage_call(options: dict[str, Any]) -> str:
+def format_stage_call(options: dict[str, Any]) -> str:
     """Return the Python expression that creates the stage described by options of `stage panel`."""
     by_axis = axis_value_parsing.parse_chips(options["chips"]) if "=" in options["chips"] else None
     arguments = [repr(options["model"]), f"chips={by_axis or options['chips']!r}"]
@@ -121,7 +121,7 @@ def play(machine):
     machine = {stage}
 {loads}    play(machine)
 """
-C = """\
+C_TEMPLATE = """\
 /* What was done on a panel: {command} */
 #include <pulsestage.h>
 
@@ -156,7 +156,7 @@ def _write_python(panel: Panel, saved: SavedPanel, now: int, function: str) -> s
         for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True)
     )
     loads = "".join(f"    machine.set_payload({kg!r}, {body!r})\n" for body, kg in saved.payloads.items() if kg)
-    stage = write_stage_call(saved.stage_options or {})
+    stage = format_stage_call(saved.stage_options or {})
     names = "Drive, Stage" if "Drive(" in stage else "Stage"
     return PYTHON.format(names=names, end=now, rows=rows, function=function, stage=stage, loads=loads)
 
@@ -202,7 +202,7 @@ def to_c(panel: Panel, saved: SavedPanel, now: int) -> str:
         lines.append(f"    at({s.ns // 1000});{calls}{f' /* {words} */' if words else ''}")
     options = saved.stage_options or {}
     command = shlex.join(["stage", "run", "program.c", "--model", options["model"], "--chips", options["chips"]])
-    return C.format(command=command.replace("*/", "* /"), lines="\n".join(lines), end=now // 1000)
+    return C_TEMPLATE.format(command=command.replace("*/", "* /"), lines="\n".join(lines), end=now // 1000)
 
 
 def _write_port_calls(place: Any, cycle: ProgramCycle) -> list[str]:
@@ -254,16 +254,16 @@ STAGE_OPTIONS: dict[str, type | tuple[type, ...]] = {
     "bus_voltage": (int, float), "bus_cycle": (int, float), "wiring": list, "multichip": (str, type(None)), "syni": list,
 }  # fmt: skip
 """The options of `stage panel` that say what the stage is made of, and their types."""
-RECORDED = ("position", "commanded", "following_error", "rate", "lost_steps")
-LARGEST = 1 << 28  # bytes of a file that is read
-UNPACKED = 1 << 27  # bytes of the members that are read
+EXPORTED_SERIES = ("position", "commanded", "following_error", "rate", "lost_steps")
+MAX_FILE_BYTES = 1 << 28  # bytes of a file that is read
+MAX_UNPACKED_BYTES = 1 << 27  # bytes of the members that are read
 MEMBERS = ("panel.json", "start.snapshot", "now.snapshot")
 MAX_TEXT_LENGTH = 1000  # characters of an option
-LATEST = 1 << 62  # ns
+MAX_TIME_NS = 1 << 62  # ns
 
 
 class SavedPanel(NamedTuple):
-    """Content of a panel file, which `save_panel` writes and `restore_panel` restores.
+    """Content of a panel file, which `pack_panel` writes and `restore_panel` restores.
 
     Attributes:
         stage_options: Options of the stage, see STAGE_OPTIONS, or None.
@@ -288,7 +288,7 @@ def list_program_cycles(panel: Panel) -> list[ProgramCycle]:
     for k, trace in enumerate(panel.observer.traces):
         hz = trace.chip.clock_hz
         for e in trace.sent or ():
-            cycles.append(ProgramCycle(-(-e.clock * SECOND // hz), k, e.a, None if e.kind == READ else e.b))
+            cycles.append(ProgramCycle(-(-e.clock * NS_PER_SECOND // hz), k, e.a, None if e.kind == READ else e.b))
     return sorted(cycles, key=lambda s: s.ns)
 
 
@@ -298,14 +298,14 @@ def capture_panel(panel: Panel) -> tuple[SavedPanel, int]:
     panel.observer.update_views(stage)
     kg, _ = stage.describe_machine()["payloads"]
     payloads = {stage.model.body(body).name: mass for body, mass in kg.items()}
-    faults = [active.request for active in panel.fault_controls.in_force]
+    faults = [active.request for active in panel.fault_controls.faults_in_force]
     start = panel.observer.program_start
     return SavedPanel(
         panel.stage_options, payloads, faults, list_program_cycles(panel), start, stage.snapshot()
     ), stage.now
 
 
-def write_program(panel: Panel, name: str) -> str:
+def format_program(panel: Panel, name: str) -> str:
     """Return the program so far as the text of a file.
 
     Args:
@@ -318,7 +318,7 @@ def write_program(panel: Panel, name: str) -> str:
     return panel.session.do(lambda stage: PROGRAM_FORMATS[name](panel, *capture_panel(panel)))
 
 
-def save_panel(panel: Panel) -> bytes:
+def pack_panel(panel: Panel) -> bytes:
     """Return the bytes of a file that holds the panel as it is now."""
 
     def capture_with_programs(stage: Stage) -> tuple[SavedPanel, int, dict[str, str]]:
@@ -356,7 +356,7 @@ class _ExportedRecording(NamedTuple):
 def _export_last_minute(panel: Panel) -> _ExportedRecording | None:
     """Export the samples of the last minute; return None if there are none."""
     sampler = panel.sampler
-    names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in RECORDED]
+    names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in EXPORTED_SERIES]
     for ending in ("rrd", "csv"):
         try:
             content = oscilloscope.FORMATS[ending](sampler, names, sampler.last_time - MAX_AGE_S, sampler.last_time)
@@ -374,7 +374,7 @@ def _save_to_bytes(snapshot: Snapshot) -> bytes:
 
 
 def read_saved_panel(path: str | os.PathLike) -> SavedPanel:
-    """Read a file that `save_panel` has written. Raises ArgumentError if the file is not valid."""
+    """Read a file that `pack_panel` has written. Raises ArgumentError if the file is not valid."""
 
     def make_error(why: str) -> ArgumentError:
         """Return the error for an invalid file, with the reason."""
@@ -382,8 +382,8 @@ def read_saved_panel(path: str | os.PathLike) -> SavedPanel:
             f"{path} is no file of a panel, or a damaged one: {why}. The panel's button Save writes such files."
         )
 
-    content = read_bytes(path, "file of a panel", LARGEST, ArgumentError)
-    members = read_members(content, MEMBERS, UNPACKED, make_error)
+    content = read_bytes(path, "file of a panel", MAX_FILE_BYTES, ArgumentError)
+    members = read_members(content, MEMBERS, MAX_UNPACKED_BYTES, make_error)
     try:
         document = parse_json(members["panel.json"])
         if document["format"] != FORMAT:
@@ -432,7 +432,7 @@ def _is_valid_option(value: Any, kind: type | tuple[type, ...]) -> bool:
 
 def _check_time_ns(value: Any) -> int:
     """Return a time since power-up, ns, from JSON. Raises ValueError if it is no such time."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < LATEST:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < MAX_TIME_NS:
         raise ValueError(f"{value!r:.60} is no time in ns")
     return value
 
@@ -466,7 +466,7 @@ def restore_panel(panel: Panel, saved: SavedPanel) -> None:
         for k, trace in enumerate(panel.observer.traces):
             hz = trace.chip.clock_hz
             trace.sent = [
-                Entry(s.ns * hz // SECOND, READ if s.value is None else WRITE, s.address, s.value or 0)
+                Entry(s.ns * hz // NS_PER_SECOND, READ if s.value is None else WRITE, s.address, s.value or 0)
                 for s in saved.sent
                 if s.chip == k
             ]

@@ -110,7 +110,7 @@ class Website:
         return Response(mesh_to_stl(model, mesh), media_type="model/stl")
 
 
-LOOPBACK = "127.0.0.1"
+LOOPBACK_ADDRESS = "127.0.0.1"
 
 
 class Panel:
@@ -132,7 +132,7 @@ class Panel:
         self,
         session: Session,
         port: int = 0,
-        host: str = LOOPBACK,
+        host: str = LOOPBACK_ADDRESS,
         stage_options: dict[str, Any] | None = None,
         owns_session: bool = False,
     ):
@@ -140,20 +140,20 @@ class Panel:
         import uvicorn
 
         self._site = get_website()
-        from stage.panel.procedure_page import ProcedureReports
+        from stage.panel.procedure_page import ProcedureOutcomes
 
         self.session, self.controls, self._owns_session = session, ControlsAssignment(), owns_session
-        self.reports = ProcedureReports(session)
+        self.reports = ProcedureOutcomes(session)
         self.stage_options = stage_options
         self._socket = _open_listening_socket(host, port)
         self.port = self._socket.getsockname()[1]
-        self.token = "" if host == LOOPBACK else secrets.token_urlsafe(16)
+        self.token = "" if host == LOOPBACK_ADDRESS else secrets.token_urlsafe(16)
         self.observer, self.sampler, self.fault_controls = (
             StageObserver(session),
             Sampler(session),
             FaultControls(session),
         )
-        names = (LOOPBACK, "localhost") if host == LOOPBACK else ()
+        names = (LOOPBACK_ADDRESS, "localhost") if host == LOOPBACK_ADDRESS else ()
         config = uvicorn.Config(
             RequestGuard(self._site.app, frozenset(f"{name}:{self.port}" for name in names), self.token),
             log_level="error",

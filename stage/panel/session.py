@@ -10,8 +10,9 @@ This module draws no page.
         session.view                                                         view of the stage after the last slice
 
 Session(stage, program="mine") leaves the stage to a program. The program uses the stage from its own threads, in real time and
-otherwise as without a session: only the program lets time pass, so its run has the same bits as without a session. `take_over()`
-makes the program wait at its next use of the stage; the session then lets time pass. `give_back()` lets the program go on.
+otherwise as without a session: only the program lets time pass,
+so its run has the same bits as without a session. `suspend_program()`
+makes the program wait at its next use of the stage; the session then lets time pass. `resume_program()` lets the program go on.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any, Self
 
 from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
-from stage.panel.real_time_clock import FREE
+from stage.panel.real_time_clock import UNPACED_SPEED
 from stage.panel.stage_thread import MAX_UNPACED_NS, ActionStopped, StageThread, StageView
 from stage.sim.stage import Snapshot, Stage
 
@@ -139,7 +140,7 @@ class Session(StageThread):
         self._jumped, self._trouble = True, ""
         self._polled_at = self.stage.now
         self._history.forget_after(self.stage.now)
-        self._history.remember(self.stage)  # there is always a way back: to this moment, at least
+        self._history.take_snapshot_if_due(self.stage)  # there is always a way back: to this moment, at least
         self._restart_clock()
 
     # --- motion ---
@@ -166,16 +167,16 @@ class Session(StageThread):
             for future in waiting:
                 future.result()
 
-        return self.act("stop", stop_all)
+        return self.queue_action("stop", stop_all)
 
     # --- the program ---
 
-    def take_over(self) -> None:
+    def suspend_program(self) -> None:
         """Make the program wait at its next use of the stage, and let the session drive the stage."""
         self.program_suspended = bool(self.program)
         self._update_reservation()
 
-    def give_back(self) -> None:
+    def resume_program(self) -> None:
         """Stop all actions of the session, and let the program drive the stage again."""
         self.stop_actions()
         self.program_suspended = False
@@ -184,9 +185,9 @@ class Session(StageThread):
     def end_program(self) -> None:
         """Make each wait of the program raise ActionStopped in its thread. Signal handlers may call this method."""
         self._ending = True
-        self.give_back()
+        self.resume_program()
 
-    def dismiss_program(self) -> None:
+    def detach_program(self) -> None:
         """Drive the stage without the program from now on, because the program has ended.
 
         Call this method in the program's thread, or after the end of that thread.
@@ -203,7 +204,7 @@ class Session(StageThread):
     @property
     def catch_up_interval_s(self) -> float:
         """Simulated seconds after which a program has to call `catch_up` again."""
-        return self._clock.slice_s
+        return self._clock.pacing_interval_s
 
     def catch_up(self) -> None:
         """Wait until real time has caught up with simulated time; wait longer while time is paused or the program is suspended.
@@ -220,4 +221,4 @@ class Session(StageThread):
         self.close()
 
 
-__all__ = ["FREE", "ActionStopped", "Session", "StageView"]
+__all__ = ["UNPACED_SPEED", "ActionStopped", "Session", "StageView"]

@@ -22,7 +22,7 @@ class SnapshotHistory:
         self._snapshots: deque[tuple[int, Snapshot]] = deque()
         self.oldest: int | None = None
 
-    def remember(self, stage: Stage) -> None:
+    def take_snapshot_if_due(self, stage: Stage) -> None:
         """Take a snapshot if the newest one is at least INTERVAL_S old, and drop snapshots older than MAX_AGE_S."""
         snapshots, now = self._snapshots, stage.now
         if snapshots and now - snapshots[-1][0] < INTERVAL_S * 1e9:

@@ -132,7 +132,7 @@ class FairStageLock:
             self._line.notify_all()
 
     @contextmanager
-    def acting_for_owner(self) -> Iterator[None]:
+    def act_for_owner(self) -> Iterator[None]:
         """Let this thread act as the thread that holds the lock and waits for this one, as a host waits for its firmware."""
         me = get_ident()
         if self.is_acquired():

@@ -2,7 +2,7 @@
 
 This module draws no page.
 
-observer = StageObserver(session)             observes FRAMES times a second at most, once for all browsers
+observer = StageObserver(session)             observes FRAMES_PER_S times a second at most, once for all browsers
 observer.axes["x"].position
 observer.request_registers(0, 1)              the observer reads registers only while a page requests them
 observer.chips[0, 1].values["DV"]
@@ -169,7 +169,7 @@ class BusTrace:
         return line
 
 
-FRAMES = 25  # a second
+FRAMES_PER_S = 25  # a second
 MAX_PROGRAM_CYCLES = 200_000
 REQUEST_LIFETIME_S = 2.0  # for which the registers of a chip are read after a request
 
@@ -224,9 +224,9 @@ class StageObserver:
         self.axes: dict[str, AxisView] = {}
         self.chips: dict[tuple[int, int], ChipView] = {}
         self.traces: tuple[BusTrace, ...] = session.do(lambda stage: tuple(BusTrace(chip) for chip in stage.chips))
-        self.program_start: tuple[int, Snapshot] = session.do(self._start_program)
+        self.program_start: tuple[int, Snapshot] = session.do(self._start_program_collection)
         session.do(self.update_views)
-        self._end_observing = session.call_after_slices(self._after_slice)
+        self._end_observing = session.call_after_pacing_intervals(self._update_after_pacing_interval)
 
     def request_registers(self, chip: int, axis: int) -> None:
         """Request that `chips` has the values of an axis of a chip, from the next update on for REQUEST_LIFETIME_S.
@@ -237,8 +237,8 @@ class StageObserver:
         """
         self._requests[chip, axis] = perf_counter()
 
-    def _after_slice(self, stage: Stage) -> None:
-        if perf_counter() - self._observed_at >= 1 / FRAMES:
+    def _update_after_pacing_interval(self, stage: Stage) -> None:
+        if perf_counter() - self._observed_at >= 1 / FRAMES_PER_S:
             self.update_views(stage)
 
     def update_views(self, stage: Stage) -> None:
@@ -251,7 +251,7 @@ class StageObserver:
             trace.add_new_entries()
         cycles = sum(len(trace.sent or ()) for trace in self.traces)
         if stage.now < self.program_start[0] or cycles > MAX_PROGRAM_CYCLES:
-            self.program_start = self._start_program(stage)
+            self.program_start = self._start_program_collection(stage)
         self.number += 1
 
     def reset_lost_steps(self, axis: str, stage: Stage) -> None:
@@ -276,7 +276,7 @@ class StageObserver:
             commanded -= before * (np.pi / 2 / record.teeth) / axis.gear
         return AxisView(axis.position, commanded, lost - before, axis.switches.as_dict())
 
-    def _start_program(self, stage: Stage) -> tuple[int, Snapshot]:
+    def _start_program_collection(self, stage: Stage) -> tuple[int, Snapshot]:
         """Begin to collect a program: clear the collected cycles, and return the time, ns, and the state of the stage."""
         for trace in self.traces:
             trace.sent = []

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 FACETS = 32  # of a full circle
 PLANE_THICKNESS_M = 0.002
-POLLS = 60  # a second, at most, of the browser's scene: whether there is something to draw, see poses.js
+POLLS_PER_S = 60  # a second, at most, of the browser's scene: whether there is something to draw, see poses.js
 _KIND = mujoco.mjtGeom
-UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+Y_TO_Z_ROTATION = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from a cylinder of the browser's, which stands on y, to one of MuJoCo's, which stands on z."""
 
 
@@ -75,7 +75,7 @@ def list_shapes(model: mujoco.MjModel, geom: int) -> Iterator[Shape]:
         scale = tuple(size) if kind == _KIND.mjGEOM_ELLIPSOID else (size[0],) * 3
         yield Shape("sphere", (1.0, FACETS, FACETS // 2), place, rotation, scale)
     elif kind in (_KIND.mjGEOM_CYLINDER, _KIND.mjGEOM_CAPSULE):
-        yield Shape("cylinder", (size[0], size[0], 2 * size[1], FACETS), place, rotation @ UPRIGHT)
+        yield Shape("cylinder", (size[0], size[0], 2 * size[1], FACETS), place, rotation @ Y_TO_Z_ROTATION)
         for end in (-1, 1) if kind == _KIND.mjGEOM_CAPSULE else ():
             yield Shape("sphere", (size[0], FACETS, FACETS // 2), place + rotation @ [0, 0, end * size[1]], rotation)
     elif kind == _KIND.mjGEOM_MESH:
@@ -129,7 +129,7 @@ def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
     camera = ui.scene.perspective_camera(fov=40, near=extent / 100, far=extent * 20)
     with ui.element("div").classes("scene-box"):
         with (
-            ui.scene(grid=False, camera=camera, background_color="#20242b", fps=POLLS)
+            ui.scene(grid=False, camera=camera, background_color="#20242b", fps=POLLS_PER_S)
             .classes("scene")
             .props("data-test=scene") as scene
         ):
@@ -163,4 +163,4 @@ def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
                 poses.append([group.id, *pose])
         return [poses] if poses else None
 
-    updates.call_method(BodyPoses(scene), "move", collect_poses)
+    updates.call_method_repeatedly(BodyPoses(scene), "move", collect_poses)

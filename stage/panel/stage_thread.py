@@ -33,7 +33,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from stage.errors import SimulationError, StageError
-from stage.panel.real_time_clock import MAX_LAG_S, SLICE_S, RealTimeClock
+from stage.panel.real_time_clock import MAX_LAG_S, PACING_INTERVAL_S, RealTimeClock
 from stage.panel.snapshot_history import SnapshotHistory
 from stage.panel.stage_lock import FairStageLock
 from stage.sim.axis import Axis
@@ -47,11 +47,13 @@ MAX_BUS_CYCLE_NS = 50_000  # a shorter time is a bus cycle: no order comes betwe
 MAX_UNPACED_NS = (
     1_000_000  # waits that are shorter together are not paced, and carry out no orders; as those shorter than a slice
 )
-AFTERGLOW_S = 0.1  # real seconds for which observers are called after a program's last change: slow ones see its end
+OBSERVER_DELAY_S = (
+    0.1  # real seconds for which observers are called after a program's last change: slow ones see its end
+)
 IDLE_INTERVAL_S = 0.5  # real seconds between two views of a worker that rests
 MAX_PENETRATION = 0.1  # part of the travel: MuJoCo's end stops are soft, and a hard blow goes in by 3 % of the travel
 SESSION_OVER = "this session is over."
-NOT_YOURS = "this stage lives in a session: give it orders, session.do(...)."
+RESERVED_STAGE_MESSAGE = "this stage lives in a session: give it orders, session.do(...)."
 
 
 def has_end_limits(axis: Axis) -> bool:
@@ -179,7 +181,7 @@ class StageThread:
             self._wake_worker()
         return future
 
-    def act(self, name: str, run: Callable[[Stage], T]) -> Future[T]:
+    def queue_action(self, name: str, run: Callable[[Stage], T]) -> Future[T]:
         """Have the worker call `run(stage)`, which lets time pass. Actions run one after the other.
 
         Args:
@@ -223,7 +225,7 @@ class StageThread:
         last = self._last_action
         return last is not None and not last.done()
 
-    def call_after_slices(self, observer: Order) -> Callable[[], None]:
+    def call_after_pacing_intervals(self, observer: Order) -> Callable[[], None]:
         """Have the worker call `observer(stage)` after each slice; return a function that ends these calls."""
         with self._work:
             self._observers = (*self._observers, observer)
@@ -285,7 +287,9 @@ class StageThread:
     def _update_reservation(self) -> None:
         """Reserve the lock for the worker if it drives, and refuse all other threads if there is also no program."""
         drives = self._is_driving() and not self._closed
-        self.lock.reserve(self._identifier if drives else 0, "" if self.program or not drives else NOT_YOURS)
+        self.lock.reserve(
+            self._identifier if drives else 0, "" if self.program or not drives else RESERVED_STAGE_MESSAGE
+        )
         self._notify_all()
 
     def _is_driving(self) -> bool:
@@ -305,31 +309,31 @@ class StageThread:
                 elif self._paused or self._trouble:
                     self._wait_paused()
                 else:
-                    self._run_slice()
+                    self._run_pacing_interval()
             self._restart_clock()
         finally:
             self.lock.release()
 
     def _observe_program(self) -> None:
         """Carry out orders between the calls of a program, and publish the changes that the program has made."""
-        self._wait_for_work(SLICE_S)
+        self._wait_for_work(PACING_INTERVAL_S)
         if self.stage.now != self._view_now:
             self._changed_at = perf_counter()
-        is_recent = perf_counter() - self._changed_at < AFTERGLOW_S
-        if (self._orders or is_recent) and self.lock.acquire(SLICE_S):
+        is_recent = perf_counter() - self._changed_at < OBSERVER_DELAY_S
+        if (self._orders or is_recent) and self.lock.acquire(PACING_INTERVAL_S):
             try:
                 self._carry_out_orders()
-                self._history.remember(self.stage)
+                self._history.take_snapshot_if_due(self.stage)
                 self._trouble = ""  # checked again: the program may have ended it
                 self._publish_view()
             finally:
                 self.lock.release()
 
-    def _run_slice(self) -> None:
+    def _run_pacing_interval(self) -> None:
         """Let a slice of time pass without an action. The slice ends early when an action comes, and when the state is replaced."""
         self._jumped = False
         try:
-            self.stage.run(max(self._clock.slice_s, self.stage.state.dt * 1e-9))
+            self.stage.run(max(self._clock.pacing_interval_s, self.stage.state.dt * 1e-9))
         except SimulationError as error:
             self._trouble = str(error)
             self._publish_view()
@@ -432,7 +436,7 @@ class StageThread:
         """Wait until simulated time may pass towards `until`, ns, and return how far it may go now, ns. See `StageLoop.pace`."""
         if until - self._words.item(0) < MAX_BUS_CYCLE_NS or self._unpaced:
             return until
-        if 0 <= until - self._polled_at < min(MAX_UNPACED_NS, self._clock.slice_s * 1e9):
+        if 0 <= until - self._polled_at < min(MAX_UNPACED_NS, self._clock.pacing_interval_s * 1e9):
             return until
         with self.lock:
             if threading.get_ident() == self._identifier:
@@ -442,7 +446,7 @@ class StageThread:
                 if self._ending:
                     raise ActionStopped("the program ends.")
         self._polled_at = goal
-        self._clock.start_slice(self.stage.now)
+        self._clock.start_pacing_interval(self.stage.now)
         return goal
 
     def _pace_in_worker(self, until: int) -> int:
@@ -459,11 +463,11 @@ class StageThread:
             if self._paused:
                 self._wait_paused()
                 continue
-            goal = clock.plan_slice(stage.now, until, stage.state.dt)
-            if (left := clock.seconds_until(goal, stage.now)) <= 0:
+            goal = clock.plan_pacing_interval(stage.now, until, stage.state.dt)
+            if (left := clock.compute_seconds_until(goal, stage.now)) <= 0:
                 break
             self._wait_for_work(left)
-        self._history.remember(stage)
+        self._history.take_snapshot_if_due(stage)
         return max(goal, stage.now)
 
     def _is_over(self) -> bool:
@@ -472,7 +476,7 @@ class StageThread:
             return self._acting.stopped
         return self._jumped or bool(self._actions or self._trouble) or not self._is_driving()
 
-    def _pace_in_program(self, until: int, seconds: float = SLICE_S) -> int:
+    def _pace_in_program(self, until: int, seconds: float = PACING_INTERVAL_S) -> int:
         """Wait as `_pace` does, in a thread of the program; threads that wait for the stage hold the lock meanwhile."""
         stage, clock = self.stage, self._clock
         self.lock.yield_to_waiting()
@@ -483,8 +487,8 @@ class StageThread:
             if self._paused:
                 self.lock.wait()
                 continue
-            goal = clock.plan_slice(now, until, stage.state.dt if seconds else 0, seconds)
-            left = clock.seconds_until(goal, now)
+            goal = clock.plan_pacing_interval(now, until, stage.state.dt if seconds else 0, seconds)
+            left = clock.compute_seconds_until(goal, now)
             if left <= 0:
                 return goal
             self.lock.wait(left)

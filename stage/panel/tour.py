@@ -93,7 +93,7 @@ class Tour:
         self._running_axes: dict[str, AxisMotion] = {}
         self._pulses: dict[str, tuple[float, float]] = {}  # net pulses of each axis, and when, s
         self._lost_at_first: dict[str, int] = {}
-        self._end_observing = session.call_after_slices(self.observe)
+        self._end_observing = session.call_after_pacing_intervals(self.observe)
 
     @property
     def step(self) -> TourStep | None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 COOKIE = "pulsestage_tour"
-REMEMBER_VISIT = f"document.cookie = '{COOKIE}=seen; path=/; max-age=31536000; samesite=strict'"
+VISIT_COOKIE_JS = f"document.cookie = '{COOKIE}=seen; path=/; max-age=31536000; samesite=strict'"
 NEXT_THINGS = {
     "hands": ("Break something", "jam an axis, load it, cut a wire"),
     "chip-0": ("Drive the chip by hand", "its front panel, a register at a time"),
@@ -75,7 +75,7 @@ class TourView:
     def _begin_tour(self) -> None:
         self._tour, self._card_number, self._displayed = Tour(self._session), 0, (-1, False)
         self._card.set_visibility(True)
-        ui.run_javascript(REMEMBER_VISIT)
+        ui.run_javascript(VISIT_COOKIE_JS)
 
     def _end_tour(self) -> None:
         if self._tour is not None:

@@ -19,8 +19,8 @@ from socketserver import TCPServer
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-HOST = "127.0.0.1"
-ALLOWED_HOST_NAMES = (HOST, "localhost")
+LOOPBACK_ADDRESS = "127.0.0.1"
+ALLOWED_HOST_NAMES = (LOOPBACK_ADDRESS, "localhost")
 PAGE_MIME_TYPES = {
     "": "text/html; charset=utf-8",
     "re_viewer.js": "text/javascript",
@@ -51,7 +51,7 @@ class RecordingServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, rrd: Path, port: int, allow_other_servers: bool = False) -> None:
-        super().__init__((HOST, port), _Handler)
+        super().__init__((LOOPBACK_ADDRESS, port), _Handler)
         self.rrd = rrd
         self.allows_other_servers = allow_other_servers
         self.page: Mapping[str, bytes] = {}
@@ -60,7 +60,7 @@ class RecordingServer(ThreadingHTTPServer):
     @property
     def address(self) -> str:
         """Address to open in a browser."""
-        return f"http://{HOST}:{self.server_port}{self.folder}"
+        return f"http://{LOOPBACK_ADDRESS}:{self.server_port}{self.folder}"
 
     @property
     def hosts(self) -> list[str]:
@@ -72,7 +72,7 @@ class RecordingServer(ThreadingHTTPServer):
     def server_bind(self) -> None:
         """Bind the port without a DNS look-up of this machine's name, which HTTPServer would make."""
         TCPServer.server_bind(self)
-        self.server_name, self.server_port = HOST, int(self.server_address[1])
+        self.server_name, self.server_port = LOOPBACK_ADDRESS, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Report errors of a request, except those of a browser that disconnects."""

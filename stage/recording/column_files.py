@@ -28,7 +28,7 @@ FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
 
 
 def find_writer_name(path: str | os.PathLike) -> str:
-    """Return the name of the method of `Tabular` that writes a file with this ending.
+    """Return the name of the method of `ColumnTable` that writes a file with this ending.
 
     Raises:
         FileError: The ending is not among FORMATS.
@@ -43,7 +43,7 @@ class Columns(dict[str, np.ndarray]):
         raise UnknownKey(str(unknown_name_error("column", name, self)))
 
 
-class Tabular:
+class ColumnTable:
     """Base class of tables of columns over time: arrays of equal length by name, "time" first."""
 
     ERROR: type[FileError] = FileError

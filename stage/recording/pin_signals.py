@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.journal import Journal, Replay
+from stage.chips.journal import GrowingJournalReplay, Journal
 from stage.chips.journal_entries import RESET, WRITE
 
 SWITCHES = {
@@ -50,11 +50,11 @@ def settle_edges(edge_arrays: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         yield rest
 
 
-def list_pin_edges(journal: Journal | Replay) -> np.ndarray:
+def list_pin_edges(journal: Journal | GrowingJournalReplay) -> np.ndarray:
     """Return the first edge, and each edge at which a pin that is no pulse output changes.
 
     Args:
-        journal: Journal of the chip, or a Replay, of which the new edges count.
+        journal: Journal of the chip, or a GrowingJournalReplay, of which the new edges count.
     """
     parts: list[np.ndarray] = []
     before = None
@@ -190,7 +190,7 @@ def list_directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray
     Returns:
         Clocks, the first of them that of the journal's start, and from each clock on whether the direction is minus.
     """
-    start = journal.start
+    start = journal.start_state
     if "minus" not in (start.dtype.names or ()):
         return np.array([int(start["clock"])]), np.array([False])
     clocks, minus = [int(start["clock"])], [bool(start["minus"])]

@@ -29,10 +29,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from stage.chips.exclusive_access import exclusively
+from stage.chips.exclusive_access import get_stage_lock
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, StageError, unknown_name_error
-from stage.recording.column_files import Columns, Tabular
+from stage.recording.column_files import Columns, ColumnTable
 from stage.recording.vcd_writer import RecordedBusCycles
 from stage.sim.engine_records import SAMPLE
 from stage.support import html
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
     from stage.recording.rerun_log import RerunLog
 
-ROWS = 4096
+BUFFER_ROWS = 4096
 Number = TypeVar("Number", float, np.ndarray)
 _FIELDS: Any = SAMPLE.fields
 _SAMPLE = np.dtype(_FIELDS)  # without attribute access, which costs at every look
@@ -119,7 +119,7 @@ def _make_write_error(path: Path, error: OSError) -> RecordingError:
     return RecordingError(f"{path} cannot be written: {error.strerror or error}.")
 
 
-class Recording(Tabular):
+class Recording(ColumnTable):
     """Samples and journals of a run, from its creation to `close`. A context manager; the data stays available after `close`.
 
     Args:
@@ -142,7 +142,8 @@ class Recording(Tabular):
         every: Seconds between samples.
         fault_changes: Begins and ends of faults, in order.
         host: Bus cycles of a board, if the stage has one.
-        samples, positions, filled: The engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the number of filled rows.
+        samples, positions, filled: The engine's buffers, (BUFFER_ROWS, axes) SAMPLE and (BUFFER_ROWS, nq), and the number
+            of filled rows.
     """
 
     ERROR = RecordingError
@@ -164,7 +165,7 @@ class Recording(Tabular):
             raise ArgumentError(f"every={every!r}: the samples of a recording are more than 0 and up to 1e6 s apart.")
         if not stage.axes:
             raise RecordingError("this stage drives no axis: there is nothing to record.")
-        with exclusively(stage):
+        with get_stage_lock(stage):
             self._begin(stage, max(1, round(every * 1e9 / stage.state.dt)))
         if path is not None:
             try:
@@ -184,8 +185,8 @@ class Recording(Tabular):
         self.on_error: Literal["raise", "warn"] = "raise"
         self._log: RerunLog | None = None
         self._log_path, self._flush_rows, self._flushed = Path(), 0, 0
-        self.samples = np.zeros((ROWS, len(axes)), SAMPLE)
-        self.positions = np.zeros((ROWS, model.nq))
+        self.samples = np.zeros((BUFFER_ROWS, len(axes)), SAMPLE)
+        self.positions = np.zeros((BUFFER_ROWS, model.nq))
         self.filled = 0
         self._disorder = False
         self.fault_changes: list[FaultChange] = []
@@ -234,7 +235,7 @@ class Recording(Tabular):
         """
         self._separate_fork()
         self.filled = filled
-        if filled == ROWS:
+        if filled == BUFFER_ROWS:
             self._write_full_buffers()
         if self._log is not None and len(self) - self._flushed >= self._flush_rows:
             self.flush()
@@ -242,8 +243,8 @@ class Recording(Tabular):
     def _write_full_buffers(self) -> None:
         """Append the full buffers to the temporary file and mark them as empty."""
         self.filled = 0  # first of all: the engine must never find a full buffer
-        self._disorder |= self._has_backward_time(ROWS)
-        rows = self._pack_samples(ROWS).view(np.uint8).data
+        self._disorder |= self._has_backward_time(BUFFER_ROWS)
+        rows = self._pack_samples(BUFFER_ROWS).view(np.uint8).data
         try:
             self._file.seek(self._spooled * self._dtype.itemsize)
             while len(rows):
@@ -256,7 +257,7 @@ class Recording(Tabular):
                 error,
             )
             return
-        self._spooled += ROWS
+        self._spooled += BUFFER_ROWS
 
     @explain_arguments
     def stream(
@@ -353,7 +354,7 @@ class Recording(Tabular):
             return
         with ExitStack() as stack:
             with suppress(StageError):
-                stack.enter_context(exclusively(self._stage))
+                stack.enter_context(get_stage_lock(self._stage))
             self._is_closed = True
             self._stage.stop_recording()
             atexit.unregister(self._close_at_exit)
@@ -381,14 +382,14 @@ class Recording(Tabular):
     @property
     def began(self) -> float:
         """Time at which the recording began, s."""
-        return min(float(self.seconds(name, j.start["clock"])) for name, j in self.journals.items())
+        return min(float(self.seconds(name, j.start_state["clock"])) for name, j in self.journals.items())
 
     @property
     def duration(self) -> float:
         """Seconds from the begin of the recording to the last sample."""
         return len(self) * self.every
 
-    def pieces(self, rows: int = 16 * ROWS, begin: int = 0) -> Iterator[np.ndarray]:
+    def pieces(self, rows: int = 16 * BUFFER_ROWS, begin: int = 0) -> Iterator[np.ndarray]:
         """Yield the samples in order, in arrays of records with the fields `axes` (SAMPLE, one per axis) and `qpos`.
 
         Args:
@@ -488,8 +489,8 @@ class Recording(Tabular):
     def require_forward_time(self) -> None:
         """Raise RecordingError if the stage was restored to an earlier time, because the order of the journals is then lost."""
         for name, journal in self.journals.items():
-            clocks = journal.entries.packed()["clock"]
-            ends = int(clocks.max(initial=0)) > journal.until
+            clocks = journal.entries.to_packed()["clock"]
+            ends = int(clocks.max(initial=0)) > journal.end_clock
             if self._disorder or ends or self._has_backward_time(self.filled) or np.any(np.diff(clocks) < 0):
                 raise RecordingError(
                     f"the stage went back in time while it was recorded (axis {name}): restore, reset or copy a stage between "

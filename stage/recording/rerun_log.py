@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 
 from stage.chips.cycle_descriptions import Statement
-from stage.chips.journal import Replay
+from stage.chips.journal import GrowingJournalReplay
 from stage.recording import pin_signals, rerun_scene
 from stage.recording.axis_series import COLORS, FORMAT_VERSION, assign_colors, select_series
 from stage.recording.lazy_rerun import rr
@@ -34,7 +34,7 @@ from stage.units import DEVIATION_UNITS
 if TYPE_CHECKING:
     from stage.recording.recording import FaultChange, Recording
 
-STATES = {
+STATE_COLORS = {
     "up": (38, 140, 92), "keep": (40, 108, 186), "down": (190, 120, 26), "hold": (52, 57, 66),
     "idle": (52, 57, 66), "profile": (38, 140, 92), "control": (40, 108, 186),
     "fault": (206, 52, 46), "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
@@ -70,8 +70,8 @@ class RerunLog:
 
         self._recording, self._rows, self._fault_changes_logged = recording, 0, 0
         self._colors = {name: COLORS[color] for name, color in assign_colors(recording).items()}
-        self._lanes = {name: StateLanes(recording, name) for name in recording.axes}
-        self._scene = rerun_scene.Scene(recording)
+        self._lanes = {name: StateLaneLogger(recording, name) for name in recording.axes}
+        self._scene = rerun_scene.SceneLogger(recording)
         self._sink = RrdSink(rr.RecordingStream("pulsestage"), path, build_dashboard(recording), overwrite)
         try:
             _log_about(self._sink.out, recording)
@@ -180,13 +180,13 @@ def _log_series(out: Any, recording: Recording, rows: np.ndarray) -> None:
             )
 
 
-class StateLanes:
+class StateLaneLogger:
     """Logger of one axis' state lanes: motion phase, switches and bus, up to the end of its journal."""
 
     def __init__(self, recording: Recording, name: str):
         self._recording, self._name = recording, name
         self._axis, self._journal = recording.axes[name], recording.journals[name]
-        self._replay, self._first = Replay(self._journal), True
+        self._replay, self._first = GrowingJournalReplay(self._journal), True
         self._decoder, self._entries_logged = self._axis.chip.decoder(self._axis.chip_axis), 0
         self._combined_states: dict[str, tuple] = {}
         self._last_states: dict[str, str] = {}
@@ -213,19 +213,21 @@ class StateLanes:
     def _log_edges(self, out: Any, edges: np.ndarray) -> None:
         """Log motion phase and switches from new pin edges."""
         chip = self._axis.chip
-        phases = {s: STATES[s] for s in pin_signals.list_motion_phases(chip)}
+        phases = {s: STATE_COLORS[s] for s in pin_signals.list_motion_phases(chip)}
         self._log_lane(out, "phase", edges, pin_signals.find_motion_phases(chip, edges), phases)
         together, kinds = np.full(len(edges), "", object), {}
         for pin, label, kind in pin_signals.list_switches(self._axis):
             kinds[label] = kind
             on = pin_signals.is_switch_on(self._axis, edges, pin)
             states = np.where(on, label, "off").astype(object)
-            colors = {label: STATES[kind], "off": STATES["off"]}
+            colors = {label: STATE_COLORS[kind], "off": STATE_COLORS["off"]}
             self._log_lane(out, f"switches/{pin}", edges, states, colors)
             together = np.where(on, together + np.where(together == "", "", " ") + label, together)
         # EL, then ORG, then SD gives a combination its color: the order of the alphabet, as it happens
         new = dict.fromkeys(s for s in together if s not in self._combined_states)
-        self._combined_states |= {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in new}
+        self._combined_states |= {
+            state: STATE_COLORS[min((kinds[s] for s in state.split()), default="off")] for state in new
+        }
         self._log_lane(out, "switches", edges, together, self._combined_states, bool(new))
 
     def _log_lane(
@@ -254,7 +256,7 @@ class StateLanes:
             columns=rr.TextLog.columns(
                 text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, statements, strict=True)],
                 level=[LEVELS[s.kind] for s in statements],
-                color=[(*(STATES["fault"] if s.kind == "lost" else NEUTRAL), 255) for s in statements],
+                color=[(*(STATE_COLORS["fault"] if s.kind == "lost" else NEUTRAL), 255) for s in statements],
             ),
         )
 
@@ -266,7 +268,7 @@ def _log_faults(out: Any, fault_changes: list[FaultChange], first_index: int) ->
         return
     when = rerun_scene.to_time_column(np.array([n.time for n in new]))
     states = ["; ".join(n.in_force) or "none" for n in fault_changes]
-    colors = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
+    colors = {s: STATE_COLORS["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
     style = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
     out.log("faults", style, static=True)
     out.send_columns("faults", indexes=[when], columns=rr.StateChange.columns(state=states[first_index:]))
@@ -275,6 +277,6 @@ def _log_faults(out: Any, fault_changes: list[FaultChange], first_index: int) ->
     texts = rr.TextLog.columns(
         text=[f"{n.time:11.6f}  FAULT  {n.text}" for n in new],
         level=["ERROR" if begin else "INFO" for begin in begins],
-        color=[(*(STATES["fault"] if begin else NEUTRAL), 255) for begin in begins],
+        color=[(*(STATE_COLORS["fault"] if begin else NEUTRAL), 255) for begin in begins],
     )
     out.send_columns("faults/log", indexes=[when], columns=texts)

@@ -31,7 +31,7 @@ LAMP_HEIGHT = 0.015  # of the model's extent: a lamp stands above its switch
 DIRECTIONS = "directions"  # beside the bodies: the arrows of the axes
 
 
-class Scene:
+class SceneLogger:
     """Logger of the 3D scene of a recording.
 
     Call `log_static_geoms` first, `log_poses` and `log_lamps` while the recording grows, and `log_tool_path` at the end.

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
-from stage.recording.browser_server import HOST, PAGE_MIME_TYPES, RECORDING_NAME, RecordingServer
+from stage.recording.browser_server import LOOPBACK_ADDRESS, PAGE_MIME_TYPES, RECORDING_NAME, RecordingServer
 from stage.recording.lazy_rerun import experimental
 from stage.support.extras import import_extra, is_installed
 from stage.support.files import refuse_irregular, write_atomically
@@ -67,7 +67,7 @@ def open_viewer(rrd: str | os.PathLike) -> None:
     """Open a recording in a window and return at once. Raises ViewerError on a machine without a screen."""
     rrd = _check_recording(rrd)
     check_screen(str(rrd))
-    command = [find_rerun_executable(), str(rrd), "--bind", HOST, "--port", "auto"]
+    command = [find_rerun_executable(), str(rrd), "--bind", LOOPBACK_ADDRESS, "--port", "auto"]
     nowhere = subprocess.DEVNULL
     subprocess.Popen(command, env=build_rerun_environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
 
@@ -134,7 +134,13 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
 def _fetch_page() -> dict[str, bytes]:
     """Return the files of rerun's page by name. They come from rerun's own server, which runs only for this purpose."""
     port = find_free_port()
-    command = [find_rerun_executable(), f"http://{HOST}/{RECORDING_NAME}", "--serve-web", "--bind", HOST]
+    command = [
+        find_rerun_executable(),
+        f"http://{LOOPBACK_ADDRESS}/{RECORDING_NAME}",
+        "--serve-web",
+        "--bind",
+        LOOPBACK_ADDRESS,
+    ]
     command += ["--web-viewer-port", str(port)]
     with _run_rerun(command, stderr=subprocess.PIPE) as process:
         _wait_for_port(port, process)
@@ -145,7 +151,7 @@ def _fetch_page() -> dict[str, bytes]:
 
 def _fetch_file(port: int, name: str) -> bytes:
     """Return one file of rerun's page from the server at `port`."""
-    connection = http.client.HTTPConnection(HOST, port, timeout=30)
+    connection = http.client.HTTPConnection(LOOPBACK_ADDRESS, port, timeout=30)
     try:
         connection.request("GET", f"/{name}")
         answer = connection.getresponse()
@@ -195,7 +201,7 @@ def _render_screenshot(rrd: Path, png: Path, size: tuple[int, int], at: float | 
     """Run the viewer without a window until it has saved the picture."""
     port = find_free_port()
     command = [find_rerun_executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME_HEIGHT}"]
-    command += ["--bind", HOST, "--port", str(port)]
+    command += ["--bind", LOOPBACK_ADDRESS, "--port", str(port)]
     deadline = time.monotonic() + timeout
     with _run_rerun(command, stderr=subprocess.PIPE) as process:
         _wait_for_port(port, process, deadline)
@@ -230,7 +236,7 @@ def _connect_client(port: int, process: subprocess.Popen, deadline: float) -> An
     while time.monotonic() < deadline:
         _check_process(process)
         try:
-            client = experimental.ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
+            client = experimental.ViewerClient.connect(f"rerun+http://{LOOPBACK_ADDRESS}:{port}/proxy")
             state = client.get_state()
             if not state.loading and any(r.timelines for r in state.recordings):
                 return client
@@ -314,11 +320,11 @@ def _run_rerun(command: list[str], stderr: int | None = None) -> Iterator[subpro
 def _exit_on_signals() -> Iterator[None]:
     """Turn SIGTERM and SIGHUP into SystemExit during the `with` block, so that open files and processes are closed."""
 
-    def leave(signum: int, _frame: object) -> None:
+    def exit_process(signum: int, _frame: object) -> None:
         raise SystemExit(128 + signum)
 
     main = threading.current_thread() is threading.main_thread()
-    before = {s: signal.signal(s, leave) for s in (signal.SIGTERM, signal.SIGHUP) if main}
+    before = {s: signal.signal(s, exit_process) for s in (signal.SIGTERM, signal.SIGHUP) if main}
     try:
         yield
     finally:
@@ -337,13 +343,13 @@ def _end_process(process: subprocess.Popen) -> None:
 
 def _is_port_free(port: int) -> bool:
     with socket.socket() as s:
-        return s.connect_ex((HOST, port)) != 0
+        return s.connect_ex((LOOPBACK_ADDRESS, port)) != 0
 
 
 def find_free_port() -> int:
     """Return a port on which nothing listens."""
     with socket.socket() as s:
-        s.bind((HOST, 0))
+        s.bind((LOOPBACK_ADDRESS, 0))
         return s.getsockname()[1]
 
 

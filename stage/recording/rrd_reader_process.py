@@ -24,22 +24,22 @@ from typing import IO, Any
 PROGRAM = __file__
 CHUNK_HEAD = struct.Struct("<IQ")
 END_MARK = "whole"
-LIMITS = 256 << 20, 64  # bytes that any file may have when it is unpacked, and times its size
+UNPACK_LIMITS = 256 << 20, 64  # bytes that any file may have when it is unpacked, and times its size
 START_LIMIT_S, MIN_BYTES_PER_S = 60.0, 1 << 20
 BYTES_OF_PROCESS = 2 << 30  # of its threads and libraries
-SKIPPED = "/stage"  # the scene: pictures, no columns
+SKIPPED_ENTITY_PREFIX = "/stage"  # the scene: pictures, no columns
 
 
-class DamagedFile(Exception):
+class DamagedFileError(Exception):
     """Error of a file that rerun's reader cannot read. The message says why."""
 
 
 def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
-    """Yield the entity path and the Arrow record batch of each chunk, except those of the 3D scene. Raises DamagedFile."""
+    """Yield the entity path and the Arrow record batch of each chunk, except those of the 3D scene. Raises DamagedFileError."""
     import pyarrow
 
     size = path.stat().st_size
-    left, seconds = LIMITS[0] + LIMITS[1] * size, START_LIMIT_S + size / MIN_BYTES_PER_S
+    left, seconds = UNPACK_LIMITS[0] + UNPACK_LIMITS[1] * size, START_LIMIT_S + size / MIN_BYTES_PER_S
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "RUST_LOG": "off"}
     process = subprocess.Popen(
         [sys.executable, "-P", PROGRAM, str(path)], env=environment,
@@ -58,7 +58,7 @@ def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
                 break
             left -= length + columns
             if left < 0:
-                raise DamagedFile("it is far larger when it is unpacked")
+                raise DamagedFileError("it is far larger when it is unpacked")
             entity, content = out.read(length).decode(), out.read(columns)
             if len(content) < columns:
                 break
@@ -71,11 +71,11 @@ def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
         watch.cancel()
         process.stdout.close()  # type: ignore[union-attr]
     if message is None:
-        raise DamagedFile(
+        raise DamagedFileError(
             _describe_end(code) if in_time else f"rerun's reader was not done with it after {seconds:.0f} s"
         )
     if message != END_MARK:
-        raise DamagedFile(message)
+        raise DamagedFileError(message)
 
 
 def _describe_end(code: int) -> str:
@@ -87,7 +87,7 @@ def _describe_end(code: int) -> str:
 
 def _write_chunks(path: str, out: IO[bytes]) -> None:
     """Write the chunks of a file to `out`, as the program that `read_chunks` starts."""
-    limit = LIMITS[0] + LIMITS[1] * Path(path).stat().st_size + BYTES_OF_PROCESS
+    limit = UNPACK_LIMITS[0] + UNPACK_LIMITS[1] * Path(path).stat().st_size + BYTES_OF_PROCESS
     with suppress(ValueError, OSError):  # somebody has set a lower limit
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     import pyarrow
@@ -96,7 +96,7 @@ def _write_chunks(path: str, out: IO[bytes]) -> None:
     message = END_MARK
     try:
         for chunk in RrdReader(path).stream():
-            if chunk.entity_path.startswith(SKIPPED):
+            if chunk.entity_path.startswith(SKIPPED_ENTITY_PREFIX):
                 continue
             batch = chunk.to_record_batch()
             batch.validate(full=True)

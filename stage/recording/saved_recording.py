@@ -16,9 +16,9 @@ import numpy as np
 
 from stage.errors import StageError, unknown_name_error
 from stage.recording.axis_series import FORMAT_VERSION, SERIES
-from stage.recording.column_files import Columns, Tabular
+from stage.recording.column_files import Columns, ColumnTable
 from stage.recording.recording import RecordingError, find_column_unit
-from stage.recording.rrd_reader_process import DamagedFile, read_chunks
+from stage.recording.rrd_reader_process import DamagedFileError, read_chunks
 from stage.support.extras import import_extra, is_installed
 from stage.support.foreign_files import open_regular
 from stage.support.identifier_escapes import escape_name
@@ -33,7 +33,7 @@ COLUMN_NAMES = {"current": "current_a"}
 State = tuple[np.ndarray, np.ndarray]
 
 
-class SavedRecording(Tabular):
+class SavedRecording(ColumnTable):
     """Content of an .rrd file. `read` creates it.
 
     Attributes:
@@ -208,7 +208,7 @@ def read(path: str | os.PathLike) -> SavedRecording:
         saved = SavedRecording(path, entities)
         saved.check()
     except (
-        DamagedFile,
+        DamagedFileError,
         LookupError,
         TypeError,
         ValueError,
@@ -218,7 +218,9 @@ def read(path: str | os.PathLike) -> SavedRecording:
     ) as error:
         if isinstance(error, StageError):
             raise
-        reason = str(error) if isinstance(error, DamagedFile) else f"its columns do not fit together ({error!r:.100})"
+        reason = (
+            str(error) if isinstance(error, DamagedFileError) else f"its columns do not fit together ({error!r:.100})"
+        )
         raise RecordingError(
             f"{path} is damaged: {reason}. Of a run that was killed while it wrote, `rerun rrd merge {path} -o "
             "whole.rrd` keeps what is whole."

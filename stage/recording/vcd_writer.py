@@ -60,9 +60,10 @@ def write_vcd(recording: Recording, path: Path) -> Path:
 
     with path.open("w", encoding="ascii", buffering=1 << 20) as file:
         begin = min(
-            to_nanoseconds(int(j.start["clock"]), _get_clock_hz(recording, n)) for n, j in recording.journals.items()
+            to_nanoseconds(int(j.start_state["clock"]), _get_clock_hz(recording, n))
+            for n, j in recording.journals.items()
         )
-        end = max(to_nanoseconds(j.until, _get_clock_hz(recording, n)) for n, j in recording.journals.items())
+        end = max(to_nanoseconds(j.end_clock, _get_clock_hz(recording, n)) for n, j in recording.journals.items())
         comment = f"PulseStage: {recording!r}".encode("ascii", "backslashreplace").decode().replace("$", r"\x24")
         with VCDWriter(file, "1 ns", date=DATE, comment=comment, init_timestamp=begin) as writer:
             streams = [
@@ -71,8 +72,8 @@ def write_vcd(recording: Recording, path: Path) -> Path:
                 for s in (_register_pins(recording, axis, writer), _register_bus(recording, axis, writer))
             ]
             if recording.host is not None:
-                end = max(end, recording.host.until)
-                streams += recording.host.changes(writer, begin, end)
+                end = max(end, recording.host.end_ns)
+                streams += recording.host.register_signals(writer, begin, end)
             for ns, variable, value in heapq.merge(*streams, key=lambda change: change[0]):
                 writer.change(variable, ns, value)
             writer.close(end)
@@ -93,22 +94,22 @@ def _register_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Cha
     chip, journal = recording.axes[axis].chip, recording.journals[axis]
     clocks, minus = pin_signals.list_directions(chip, journal)
 
-    def levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
+    def compute_levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
         """Return kind, bits and values of each signal after each edge."""
         return _compute_levels(chip, edges, minus[np.searchsorted(clocks, edges["clock"], side="right") - 1])
 
     variables, now = {}, {}
-    for name, (kind, size, v) in levels(next(journal.replay_in_pieces(size=256))[:1]).items():
+    for name, (kind, size, v) in compute_levels(next(journal.replay_in_pieces(size=256))[:1]).items():
         *scope, short = (make_scope_name(axis), *map(escape_name, name.split(".")))
         now[name] = v[0].item()
         variables[name] = writer.register_var(tuple(scope), short, kind, size=size, init=now[name])
 
-    def changes() -> Iterator[Change]:
+    def iterate_changes() -> Iterator[Change]:
         """Yield the changes of all signals in the order of time."""
         for edges in pin_signals.settle_edges(journal.replay_in_pieces(every_pulse=True, size=MAX_EDGES_AT_ONCE)):
             ns = to_nanoseconds(edges["clock"], chip.clock_hz)
             which, at, what = [], [], []
-            for name, (_, _, v) in levels(edges).items():
+            for name, (_, _, v) in compute_levels(edges).items():
                 k = np.flatnonzero(np.concatenate([[v[0] != now[name]], v[1:] != v[:-1]]))
                 which += [variables[name]] * len(k)
                 at.append(ns[k])
@@ -119,7 +120,7 @@ def _register_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Cha
             for k, t in zip(order.tolist(), times[order].tolist(), strict=True):
                 yield t, which[k], what[k]
 
-    return changes()
+    return iterate_changes()
 
 
 def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
@@ -141,12 +142,12 @@ def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str
 def _register_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the bus signals of an axis in the VCD file, and return an iterator of its cycles and resets."""
     chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], (make_scope_name(axis), "bus")
-    kinds = {WRITE, RESET, *journal.entries.packed()["kind"].tolist()}  # most recordings have no LOST and no RD
+    kinds = {WRITE, RESET, *journal.entries.to_packed()["kind"].tolist()}  # most recordings have no LOST and no RD
     events = {k: writer.register_var(scope, name, "event", size=1) for k, name in EVENT_NAMES.items() if k in kinds}
     address = writer.register_var(scope, "A", "reg", size=chip.ADDRESS_MASK.bit_length(), init="x")
     data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
 
-    def changes() -> Iterator[Change]:
+    def iterate_changes() -> Iterator[Change]:
         for e in journal.entries:
             ns = to_nanoseconds(e.clock, chip.clock_hz)
             if e.kind == RESET:
@@ -154,7 +155,7 @@ def _register_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Chan
             elif e.kind in events:
                 yield from ((ns, address, e.a), (ns, data, e.b), (ns, events[e.kind], True))
 
-    return changes()
+    return iterate_changes()
 
 
 class RecordedBusCycles:
@@ -171,11 +172,11 @@ class RecordedBusCycles:
         self._end, self._until = None if self._stage.host is None else self._stage.host.get_position(), self._stage.now
 
     @property
-    def until(self) -> int:
+    def end_ns(self) -> int:
         """Time of `close`, or the present time while open, ns."""
         return self._stage.now if self._until is None else self._until
 
-    def changes(self, writer: Any, begin: int, end: int) -> list[Iterator[Change]]:
+    def register_signals(self, writer: Any, begin: int, end: int) -> list[Iterator[Change]]:
         """Register the bus in a VCD file, if there were cycles, and return iterators of its changes.
 
         Args:
@@ -185,4 +186,4 @@ class RecordedBusCycles:
         """
         if self._stage.host is None or (self._until is not None and self._end is None):
             return []
-        return self._stage.host.changes(writer, self._begin, self._end, begin, end)
+        return self._stage.host.register_signals(writer, self._begin, self._end, begin, end)

@@ -14,7 +14,7 @@ from stage import __version__
 from stage.board import Board, HostError
 from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
 from stage.board.bus.request_batch import ENTRY, find_first_invalid, resume_batch, run_batch
-from stage.board.pin_assignment import DRIVEN, READ, has_line
+from stage.board.pin_assignment import DRIVEN_LINE_PINS, READ_LINE_PINS, has_line
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client
 from stage.serve.frame_table import ENTRIES
@@ -222,7 +222,7 @@ class FrameExecutor:
         return b"".join(client.PLACE.pack(a.position, a.commanded, a.lost_steps) for a in axes)
 
     def _read_pin(self, body: bytes) -> bytes:
-        axis_name, name, of_switches = _split_place(_parse_text("PIN", body))
+        axis_name, name, of_switches = _split_pin_path(_parse_text("PIN", body))
         axis = self._find_axis(axis_name)
         if of_switches:
             axis.switches.find_index(name)  # raises for an unknown one
@@ -236,7 +236,7 @@ class FrameExecutor:
 
     def _stick_switch(self, body: bytes) -> bytes:
         state = _parse_word("STICK", body[: client.WORD.size], (client.RELEASED, client.ASSERTED, client.CLEARED))
-        axis, name, _ = _split_place(_parse_text("STICK", body[client.WORD.size :]))
+        axis, name, _ = _split_pin_path(_parse_text("STICK", body[client.WORD.size :]))
         self._find_axis(axis).switches.stick(name, None if state == client.CLEARED else state == client.ASSERTED)
         return b""
 
@@ -256,7 +256,7 @@ def _describe_lines(stage: Stage) -> dict[str, Any]:
             "chip": chips.index(axis.chip),
             "bits": {
                 line: sum(axis.chip.INPUTS[pin] for pin in pins)
-                for line, pins in (DRIVEN | READ).items()
+                for line, pins in (DRIVEN_LINE_PINS | READ_LINE_PINS).items()
                 if has_line(axis.chip, line)
             },
         }
@@ -265,7 +265,7 @@ def _describe_lines(stage: Stage) -> dict[str, Any]:
     }
 
 
-def _split_place(text: str) -> tuple[str, str, bool]:
+def _split_pin_path(text: str) -> tuple[str, str, bool]:
     """Split AXIS.PIN or AXIS.switches.SWITCH into the axis, the name, and whether it is a switch. An axis name may contain dots."""
     axis, _, name = text.rpartition(".") if "." in text else (text, "", "")
     of_switches = axis.endswith(".switches")

@@ -24,13 +24,13 @@ from stage.serve.frame_table import FRAMES
 
 MAX_HOSTS, MAX_CONNECTIONS = 16, 64
 """Largest number of connections that have been greeted, and of all open connections."""
-PATIENCE_S = 10.0
+FRAME_TIMEOUT_S = 10.0
 """Real time within which a connection has to send HELLO, and a frame whose first bytes have arrived has to be complete."""
 READ_SIZE = 1 << 18
 MAX_WAITING = client.MAX_BODY + client.HEAD.size + READ_SIZE
 """Received or outgoing bytes of a connection that may wait; the server reads no more while there are more."""
 _NAMES = {frame.kind: frame.name for frame in FRAMES}
-_FOR_OBSERVERS = frozenset(frame.kind for frame in FRAMES if frame.observes)
+_OBSERVER_FRAME_KINDS = frozenset(frame.kind for frame in FRAMES if frame.observes)
 
 
 class _HostGoneError(StageError):
@@ -80,13 +80,13 @@ class _Connection:
         length = client.HEAD.unpack_from(self.received)[0]
         return length > client.MAX_BODY or len(self.received) >= client.HEAD.size + length
 
-    def is_awaited(self) -> bool:
+    def is_frame_awaited(self) -> bool:
         """Tell whether the server waits for the greeting or the rest of a frame."""
         return self.role is None or len(self.received) > 0
 
     def is_overdue(self) -> bool:
         """Tell whether the rest of a frame, or the greeting, has not arrived within PATIENCE_S."""
-        return self.since is not None and time.monotonic() - self.since > PATIENCE_S
+        return self.since is not None and time.monotonic() - self.since > FRAME_TIMEOUT_S
 
 
 class Server:
@@ -198,7 +198,7 @@ class Server:
             if self._can_handle_frame(connection) and not connection.closing and connection.has_frame():
                 return 0.0
             if connection.since is not None:
-                waits.append(max(connection.since + PATIENCE_S - time.monotonic(), 0.0))
+                waits.append(max(connection.since + FRAME_TIMEOUT_S - time.monotonic(), 0.0))
         return min(waits, default=None)
 
     def _accept_connection(self) -> None:
@@ -238,13 +238,13 @@ class Server:
     def _update_connection(self, connection: _Connection) -> None:
         """Close a connection that has ended or is overdue; otherwise select the events for which the server waits."""
         overdue = connection.is_overdue()
-        if overdue and not connection.closing and connection.is_awaited() and not connection.has_frame():
-            self._refuse_connection(connection, f"no whole frame in {PATIENCE_S:g} s.")
+        if overdue and not connection.closing and connection.is_frame_awaited() and not connection.has_frame():
+            self._refuse_connection(connection, f"no whole frame in {FRAME_TIMEOUT_S:g} s.")
             self._send_bytes(connection)
         if connection.gone or (connection.closing and (overdue or not connection.outgoing)):
             self._close_connection(connection)
             return
-        if connection.since is not None and not connection.is_awaited():
+        if connection.since is not None and not connection.is_frame_awaited():
             connection.since = None
         reads = len(connection.received) < MAX_WAITING and not connection.closing
         events = (selectors.EVENT_READ if reads else 0) | (selectors.EVENT_WRITE if connection.outgoing else 0)
@@ -257,9 +257,9 @@ class Server:
         connection.wire.close()
         connection.gone = True
         if connection is self._driver and not self._busy:
-            self._release_driver()
+            self._release_driving_host()
 
-    def _release_driver(self) -> None:
+    def _release_driving_host(self) -> None:
         """Let another host drive after the driving host has gone."""
         connection, self._driver = self._driver, None
         if connection is not None:
@@ -296,7 +296,7 @@ class Server:
                 raise ArgumentError(
                     f"{_NAMES.get(kind, 'there is no frame')} {kind}: a host that was greeted sends {known}."
                 )
-            if connection.role != client.DRIVE and kind not in _FOR_OBSERVERS:
+            if connection.role != client.DRIVE and kind not in _OBSERVER_FRAME_KINDS:
                 raise StageError(f"{_NAMES[kind]}: this connection only observes; connect with role 0 to drive.")
             reply = self._execute_frame(connection, kind, body)
         except BatchError as error:
@@ -321,7 +321,7 @@ class Server:
         finally:
             self._busy, self._in_hook = before
             if connection.gone and not self._busy:
-                self._release_driver()
+                self._release_driving_host()
 
     def _handle_greeting(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
         """Admit the host whose first frame is a valid HELLO, or refuse the connection."""

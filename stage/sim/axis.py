@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.exclusive_access import SessionLock, exclusive, exclusively
+from stage.chips.exclusive_access import SessionLock, exclusive, get_stage_lock
 from stage.drives import drive_dispatch as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
-from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
+from stage.sim.pin_edge_player import PIN_EDGE, play_pin_edges
 from stage.support import html
 from stage.support.argument_checks import check_integer, explain_arguments
 from stage.support.declared_attributes import DeclaredAttributes
 from stage.units import POSITION_UNITS, format_lost_steps
 
-PLAYED_PULSES = 1 << 16
+PULSES_PER_BATCH = 1 << 16
 """Number of pulses whose edges are in memory at a time."""
-SWITCH_FAULTS = ["forced", "bounce", "toggles"]
+SWITCH_FAULT_FIELDS = ["forced", "bounce", "toggles"]
 """Fields of SWITCH_TABLE that faults change."""
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class Switches:
                 f"asserted={asserted!r}: True holds {name} asserted, False released, None lets it work."
             )
         stage = self._axis.stage
-        with exclusively(stage):
+        with get_stage_lock(stage):
             stage.prepare_change()
             stage.state.switch_table[self.find_index(name)].forced = -1 if asserted is None else int(asserted)
             stage.update_switches(self._axis)
@@ -113,7 +113,7 @@ class AxisFaults:
 
     Attributes:
         bus_voltage: Supply voltage of the axis' drive, V.
-        switches: Fields SWITCH_FAULTS of each of the axis' switches, a view of their rows in SWITCH_TABLE.
+        switches: Fields SWITCH_FAULT_FIELDS of each of the axis' switches, a view of their rows in SWITCH_TABLE.
         open_phases: Phases of the motor whose wire is broken, bits of stage.drives.stepper.A and B.
     """
 
@@ -170,7 +170,7 @@ class Axis(DeclaredAttributes):
         self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)
         t = stage.state.axis_table[index]
-        switches = stage.state.switch_table[t.first_switch : t.end_switch][SWITCH_FAULTS]
+        switches = stage.state.switch_table[t.first_switch : t.end_switch][SWITCH_FAULT_FIELDS]
         self.faults = AxisFaults(drive.bus_voltage, switches)
         self.armature, self.rotor = float(stage.model.dof_armature[plant.dof]), drive.motor.rotor_inertia
 
@@ -241,9 +241,9 @@ class Axis(DeclaredAttributes):
                 f"STEP of axis {self.name} is high, so that the first step would have no edge. Set axis.chip.step = False first."
             )
         begin, period_ns, high_ns = self.stage.now, 1e9 / rate, max(1, round(high * 1e9))
-        for first in range(0, count, PLAYED_PULSES):
-            end = min(first + PLAYED_PULSES, count)
-            edges = np.zeros((end - first, 2), LINE_EDGE)
+        for first in range(0, count, PULSES_PER_BATCH):
+            end = min(first + PULSES_PER_BATCH, count)
+            edges = np.zeros((end - first, 2), PIN_EDGE)
             rises = begin + np.round(np.arange(first, end) * period_ns).astype(np.int64)
             edges["time"] = rises[:, None] + [0, high_ns]
             edges["axis"], edges["pins"], edges["levels"] = self.index, step, [step, 0]

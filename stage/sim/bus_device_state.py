@@ -13,7 +13,7 @@ import numpy as np
 from stage.errors import ArgumentError
 from stage.support.snapshots import hash_layout
 
-HEADER_PART = "devices on its bus"
+HEADER_PART_NAME = "devices on its bus"
 
 
 class DeviceState:
@@ -48,7 +48,7 @@ class DeviceState:
     @property
     def header_part(self) -> tuple[tuple[str, str], ...]:
         """Part of a snapshot's header that describes the arrays; () if there are none."""
-        return ((HEADER_PART, "; ".join(self._names)),) if self._names else ()
+        return ((HEADER_PART_NAME, "; ".join(self._names)),) if self._names else ()
 
     def copy_to(self, words: np.ndarray) -> None:
         """Copy the state arrays of all devices into one array of words.

@@ -98,13 +98,13 @@ def fit_rotors(
             )
         if isinstance(d, Drive) and model.actuator_damping[p.actuator] in (0.0, fitted[1]):
             model.actuator_damping[p.actuator] = fitted[1] = d.motor.core_loss_damping
-        _check_losses(model, p, d)
+        _check_friction_and_damping(model, p, d)
     after = model.dof_armature, model.actuator_damping
     if not all(map(np.array_equal, before, after)):
         mujoco.mj_setConst(model, mujoco.MjData(model))  # what MuJoCo has worked out of armature and damping
 
 
-def _check_losses(model: Any, plant_axis: plant.PlantAxis, drive: Drive | Servo) -> None:
+def _check_friction_and_damping(model: Any, plant_axis: plant.PlantAxis, drive: Drive | Servo) -> None:
     """Check that a motor can overcome the friction and the damping of its joint; a value that is too large is often in other units.
 
     Raises:

@@ -20,10 +20,10 @@ from stage.sim.compiled_stage_access import (
     get_world,
 )
 from stage.sim.engine import advance
-from stage.sim.engine_records import EDGE, EDGES_FULL, NEVER, REACHED, SAMPLES_FULL
+from stage.sim.engine_records import EDGES_FULL, LOGGED_EDGE, NEVER, REACHED, SAMPLES_FULL
 from stage.sim.switch_edges import journal_input
 
-LINE_EDGE = record([(name, "i8") for name in "time axis pins levels".split()])
+PIN_EDGE = record([(name, "i8") for name in "time axis pins levels".split()])
 """An edge: time, ns since power-up; index of the axis; the input pins of its chip that change (bits), and their levels (bits)."""
 SWITCH_EDGE = record([(name, "i8") for name in "time axis inputs".split()])
 """An edge of switches: time, ns; index of the axis; the input pins of its chip from then on."""
@@ -31,17 +31,17 @@ OBSERVED_AXIS = record(
     [("inputs", "i8"), ("switches", "i8"), ("largest_error", "f8"), ("error_time", "i8")],
 )
 """An axis: its input pins now; those that its switches drive (bits); the largest following error (joint units); its time, ns."""
-LINE_PLAYER = record(
+PIN_EDGE_PLAYER = record(
     [(name, "i8") for name in "edges n_edges next has_journals axes switch_edges room n_switch_edges".split()]
 )
-"""Edges to play: address and number of LINE_EDGE records, and the next of them; whether chips keep journals. Observations: address
+"""Edges to play: address and number of PIN_EDGE records, and the next of them; whether chips keep journals. Observations: address
 of an OBSERVED_AXIS for each axis; address, room and number of SWITCH_EDGE records."""
 
 
 @hot
-def _observe_switches(handle, player, first_entry):
-    """Store the switch edges that the engine has logged, from entry `first_entry` of its edge log on; `player` is a LINE_PLAYER."""
-    entries = array_at(handle.edges, handle.edge_room, EDGE)
+def _store_switch_edges(handle, player, first_entry):
+    """Store the switch edges that the engine has logged, from entry `first_entry` of its log on; `player` is a PIN_EDGE_PLAYER."""
+    entries = array_at(handle.edges, handle.edge_room, LOGGED_EDGE)
     axes, switch_edges = (
         array_at(player.axes, handle.n_axes, OBSERVED_AXIS),
         array_at(player.switch_edges, player.room, SWITCH_EDGE),
@@ -60,7 +60,7 @@ def _observe_switches(handle, player, first_entry):
 
 
 @hot
-def _observe_following_errors(handle, player):
+def _update_largest_following_errors(handle, player):
     """Update the largest following error of each axis at the end of a physics step."""
     axes = array_at(player.axes, handle.n_axes, OBSERVED_AXIS)
     for a in range(handle.n_axes):
@@ -74,7 +74,7 @@ def _observe_following_errors(handle, player):
 
 @hot
 def _apply_edge(handle, player, edge):
-    """Change the input pins of an axis now, as a LINE_EDGE record describes."""
+    """Change the input pins of an axis now, as a PIN_EDGE record describes."""
     t = get_axis_table(handle)[edge.axis]
     c = get_chip_table(handle)[t.chip]
     before = core_interface.read_inputs(c, t.chip_axis)
@@ -86,23 +86,23 @@ def _apply_edge(handle, player, edge):
             journal_input(handle, get_world(handle).now, c, t.chip_axis)
 
 
-@exported("i8", HANDLE, "i8", LINE_PLAYER)
-def play_line_edges(handle, until_ns, player):
+@exported("i8", HANDLE, "i8", PIN_EDGE_PLAYER)
+def run_with_pin_edges(handle, until_ns, player):
     """Let the stage's time pass up to `until_ns` as `engine.advance` does, and apply every pin edge up to then at its time.
 
     Returns:
         Reason of the stop, as `engine.advance` returns it.
     """
-    w, dt, edges = get_world(handle), get_clockwork(handle).dt, array_at(player.edges, player.n_edges, LINE_EDGE)
+    w, dt, edges = get_world(handle), get_clockwork(handle).dt, array_at(player.edges, player.n_edges, PIN_EDGE)
     while True:
         time = edges[player.next].time if player.next < player.n_edges else NEVER
         start, noted = w.start, handle.noted
         status = advance(handle, least(least(until_ns, greatest(time, w.now)), w.start + dt))
         if status not in (REACHED, SAMPLES_FULL, EDGES_FULL):
             return status
-        _observe_switches(handle, player, noted)
+        _store_switch_edges(handle, player, noted)
         if w.start != start:
-            _observe_following_errors(handle, player)
+            _update_largest_following_errors(handle, player)
         if status != REACHED:
             return status
         if time <= w.now:

@@ -22,15 +22,26 @@ from stage.sim import engine_records
 if TYPE_CHECKING:
     from stage.sim.stage_state import State
 
-_ARRAYS = (
+_ARRAY_FIELDS = (
     "world axes drives switches latches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies"
     " accelerations damping core_loss"
 ).split()
-_LENGTHS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
-_LOGS = "samples positions room filled edges edge_room noted".split()
+_LENGTH_FIELDS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
+_LOG_FIELDS = "samples positions room filled edges edge_room noted".split()
 HANDLE_FIELDS: list = [
     (name, "i8")
-    for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own", "halt"]
+    for name in [
+        "mj_model",
+        "mj_data",
+        *_ARRAY_FIELDS,
+        *_LENGTH_FIELDS,
+        "bus",
+        *_LOG_FIELDS,
+        "state",
+        "status",
+        "own",
+        "halt",
+    ]
 ]
 HANDLE = record(HANDLE_FIELDS)
 """Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... noted: where the engine logs, how much has room
@@ -38,9 +49,9 @@ there, and how much it has logged; without rooms it logs nothing. state: where t
 0; status: what `engine.advance` answered last; own: the address of the handle itself; halt: 1 where who plays a program is to stop,
 see `play`."""
 
-WORLD, AXIS, SWITCH = engine_records.WORLD, engine_records.AXIS, engine_records.SWITCH
+WORLD, AXIS, SWITCH = engine_records.STAGE_TIME, engine_records.AXIS, engine_records.SWITCH
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
-    engine_records.AXIS_TABLE, engine_records.SWITCH_TABLE, engine_records.CHIP_TABLE, engine_records.CLOCKWORK,
+    engine_records.AXIS_ROW, engine_records.SWITCH_ROW, engine_records.CHIP_ROW, engine_records.ENGINE_CONSTANTS,
 )  # fmt: skip
 REAL, INTEGER = np.dtype("f8"), np.dtype("i8")
 
@@ -84,7 +95,7 @@ def has_edge_room(handle):
 
 
 @hot
-def note_edge(handle, now_ns, chip, axis, kind, first_number, second_number):
+def log_edge(handle, now_ns, chip, axis, kind, first_number, second_number):
     """Log an input that a chip has received, for its journal. The caller has checked that the buffer has room.
 
     Args:
@@ -99,7 +110,7 @@ def note_edge(handle, now_ns, chip, axis, kind, first_number, second_number):
     Returns:
         The EDGE record.
     """
-    e = array_at(handle.edges, handle.edge_room, engine_records.EDGE)[handle.noted]
+    e = array_at(handle.edges, handle.edge_room, engine_records.LOGGED_EDGE)[handle.noted]
     e.now, e.clock, e.axis, e.kind, e.a, e.b = (
         now_ns,
         core_interface.read_clock(chip),
@@ -112,9 +123,9 @@ def note_edge(handle, now_ns, chip, axis, kind, first_number, second_number):
     return e
 
 
-ENGINE = 1
+ENGINE_CLAIM_TOKEN = 1
 """Token with which compiled code claims a stage."""
-_tokens = count(ENGINE + 1)
+_claim_tokens = count(ENGINE_CLAIM_TOKEN + 1)
 claim: Any = make_compare_and_exchange(0, None)
 """(address, token) -> True if the word at the address was 0 and is `token` now: at most one thread has it, with or without the GIL.
 
@@ -125,7 +136,7 @@ release: Any = make_compare_and_exchange(None, 0)
 
 def make_claim_token() -> int:
     """Return a number that identifies one claim of a stage, so that a cleanup after an exception releases only its own claim."""
-    return next(_tokens)
+    return next(_claim_tokens)
 
 
 def fill_handle(handles: np.ndarray, index: int, state: State) -> None:
@@ -144,7 +155,7 @@ def fill_handle(handles: np.ndarray, index: int, state: State) -> None:
         state.chip_table, state.clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
         data.site_xpos, data.xpos, data.qacc_warmstart, model.dof_damping, model.actuator_damping,
     )  # fmt: skip
-    for name, array in zip(_ARRAYS, held, strict=True):
+    for name, array in zip(_ARRAY_FIELDS, held, strict=True):
         handle[name] = array.ctypes.data
     handle["n_axes"], handle["n_switches"], handle["n_chips"] = (
         len(state.axis_table),

@@ -22,7 +22,7 @@ from stage.chips.journal_entries import LOAD, SHAFT
 from stage.drives import drive_dispatch, stepper
 from stage.native import array_at, declare_address_call, exported, hot, least
 from stage.sim.compiled_stage_access import (
-    ENGINE,
+    ENGINE_CLAIM_TOKEN,
     HANDLE,
     REAL,
     claim,
@@ -37,32 +37,30 @@ from stage.sim.compiled_stage_access import (
     get_switches,
     get_world,
     has_edge_room,
-    note_edge,
+    log_edge,
     release,
 )
 from stage.sim.engine_records import (
-    ADDRESS,
-    CALLBACKS,
+    ADDRESS_TYPE,
+    CALLBACK_COUNT,
     DIVERGED,
-    EDGE,
     EDGES_FULL,
     FAILED,
     IN_USE,
     INDEX,
-    MAX_SPEED,
+    LOGGED_EDGE,
+    MAX_JOINT_SPEED,
     NEVER,
+    NS_PER_SECOND,
     REACHED,
     SAMPLE,
     SAMPLES_FULL,
-    SECOND,
     SLICES,
     UNGUARDED,
     WIPED,
     compute_clock_at,
 )
 from stage.sim.switch_edges import (
-    apply_index_pulse,
-    apply_switches,
     find_next_edge,
     is_in_flag,
     journal_input,
@@ -70,11 +68,13 @@ from stage.sim.switch_edges import (
     predict_switch_changes,
     predict_switch_edges,
     process_edges,
+    set_index_bit,
+    set_switch_bits,
 )
 from stage.sim.warm_start_prediction import apply_effort
 
-_step = declare_address_call(None, "i8", "i8")
-_get_state = declare_address_call(None, "i8", "i8", "i8", "i4")
+_call_mj_step = declare_address_call(None, "i8", "i8")
+_call_mj_get_state = declare_address_call(None, "i8", "i8", "i8", "i4")
 
 
 @hot
@@ -94,7 +94,7 @@ def _run_chips(handle, stop_ns):
             journal_input(handle, w.now, chip, 0)
         if chip.hz != hz:
             hz = chip.hz
-            clock, rest = compute_clock_at(start, hz), start % SECOND * hz % SECOND
+            clock, rest = compute_clock_at(start, hz), start % NS_PER_SECOND * hz % NS_PER_SECOND
         k, now = w.slice, 0
         if stop_ns == start + dt and find_next_edge(axis_records, chip) > stop_ns:
             chip.begin, chip.rest = clock, rest
@@ -106,7 +106,7 @@ def _run_chips(handle, stop_ns):
             now = least(bound, stop_ns)
             if find_next_edge(axis_records, chip) <= now:
                 process_edges(handle, chip, now)
-            core_interface.run(chip, clock + (rest + (now - start) * hz) // SECOND)
+            core_interface.run(chip, clock + (rest + (now - start) * hz) // NS_PER_SECOND)
             if now == bound:
                 _store_slice_counts(chip, axis_records, k)
                 k += 1
@@ -138,7 +138,7 @@ def _run_linked_chips(handle, first_chip, stop_ns):
         get_world(handle),
         get_chip_table(handle),
         get_axes(handle),
-        array_at(handle.edges, handle.edge_room, EDGE),
+        array_at(handle.edges, handle.edge_room, LOGGED_EDGE),
     )
     start, dt, link, hz = w.start, get_clockwork(handle).dt, rows[first_chip].link, rows[first_chip].hz
     k, now = w.slice, 0
@@ -169,7 +169,7 @@ def _run_linked_chips(handle, first_chip, stop_ns):
 def _read_shaft(handle, axis_row):
     """Return the present count of an axis' encoder, and its speed in counts per second."""
     w, v = get_world(handle), get_qvel(handle)[axis_row.dof]
-    tau = float(w.now - w.start) / SECOND - get_clockwork(handle).half
+    tau = float(w.now - w.start) / NS_PER_SECOND - get_clockwork(handle).half
     return (get_qpos(handle)[axis_row.qpos] + v * tau) * axis_row.counts, v * axis_row.counts
 
 
@@ -186,7 +186,7 @@ def _pass_shafts_to_chips(handle):
             count, speed = _read_shaft(handle, get_axis_table(handle)[a])
             core_interface.set_shaft(chip, j, count, speed / chip.hz)
             if has_edge_room(handle):
-                e = note_edge(handle, get_world(handle).now, chip, a, SHAFT, j, 0)
+                e = log_edge(handle, get_world(handle).now, chip, a, SHAFT, j, 0)
                 e.count, e.rate = count, speed / chip.hz
 
 
@@ -205,7 +205,7 @@ def _pass_loads_to_chips(handle):
         )
         share = d.torque_constant * abs(v * t.gear) / d.voltage
         if core_interface.set_load(chip, t.chip_axis, angle, share) and has_edge_room(handle):
-            e = note_edge(handle, get_world(handle).now, chip, a, LOAD, t.chip_axis, 0)
+            e = log_edge(handle, get_world(handle).now, chip, a, LOAD, t.chip_axis, 0)
             e.count, e.rate = angle, share
 
 
@@ -229,7 +229,7 @@ def _write_axis_sample(handle, axis_index, effort, sample):
     v = get_qvel(handle)[t.dof]
     q = get_qpos(handle)[t.qpos] - v * get_clockwork(handle).half
     theta = q * t.gear
-    sample.time = get_world(handle).now / SECOND
+    sample.time = get_world(handle).now / NS_PER_SECOND
     sample.position, sample.velocity = q, v
     sample.commanded = q + drive_dispatch.compute_lag(d, net, theta) / t.gear
     sample.load_angle, sample.torque = (
@@ -260,8 +260,8 @@ def _write_samples(handle, ctrl):
 def _would_call_unguarded_callback(clock):
     """Return whether MuJoCo would call a Python callback whose exceptions are not guarded."""
     if not clock.guarded:
-        for k in range(CALLBACKS):
-            if array_at(clock.callbacks[k], 1, ADDRESS)[0] != clock.native[k]:
+        for k in range(CALLBACK_COUNT):
+            if array_at(clock.callbacks[k], 1, ADDRESS_TYPE)[0] != clock.native[k]:
                 return True
     return False
 
@@ -286,7 +286,7 @@ def _run_until(handle, until_ns):
         if _would_call_unguarded_callback(clock):
             return UNGUARDED
         if handle.state:
-            _get_state(clock.mj_get_state, (handle.mj_model, handle.mj_data, handle.state, clock.state_spec))
+            _call_mj_get_state(clock.mj_get_state, (handle.mj_model, handle.mj_data, handle.state, clock.state_spec))
     while w.now < until_ns:
         end = w.start + clock.dt
         stop = least(until_ns, end)
@@ -302,13 +302,13 @@ def _run_until(handle, until_ns):
                 clock, axis_records[a], table[a], rows[a], positions, speeds,
                 ctrl, accelerations, inertia, damping, core_loss,
             )  # fmt: skip
-        _step(clock.mj_step, (handle.mj_model, handle.mj_data))
+        _call_mj_step(clock.mj_step, (handle.mj_model, handle.mj_data))
         w.slice = 0
         w.start += clock.dt
         w.steps += 1
         diverged = False
         for k in range(clock.nv):
-            if not abs(speeds[k]) < MAX_SPEED:
+            if not abs(speeds[k]) < MAX_JOINT_SPEED:
                 diverged = True
         if clock.failed:
             return FAILED
@@ -340,14 +340,14 @@ def advance(handle, until_ns):
     Returns:
         Reason of the stop (REACHED, ...).
     """
-    if not claim(handle.clockwork, ENGINE):
+    if not claim(handle.clockwork, ENGINE_CLAIM_TOKEN):
         return IN_USE
     filled, noted = handle.filled, handle.noted
     status = _run_until(handle, until_ns)
     if status in (DIVERGED, FAILED):
         handle.filled, handle.noted = filled, noted
     handle.status = status
-    release(handle.clockwork, ENGINE)
+    release(handle.clockwork, ENGINE_CLAIM_TOKEN)
     return status
 
 
@@ -407,13 +407,13 @@ def _set_axis_switch_levels(handle, axis_index):
         s, row = get_switches(handle)[k], get_switch_table(handle)[k]
         s.edge = s.next_edge = NEVER
         s.on = row.forced if row.forced >= 0 else (1 if is_in_flag(get_clockwork(handle), s, row, q) else 0)
-    word = apply_switches(
+    word = set_switch_bits(
         t, get_switches(handle), get_switch_table(handle), core_interface.read_inputs(chip, t.chip_axis)
     )
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
         axis.index_on = 1 if abs(measure_index_offset(t, q)) <= 0.5 * INDEX else 0
-        word = apply_index_pulse(t, axis, word)
+        word = set_index_bit(t, axis, word)
     core_interface.set_input(chip, t.chip_axis, word)
     if chip.read_motor_current:
         d.current = core_interface.read_motor_current(chip, t.chip_axis)
@@ -434,5 +434,5 @@ def set_switch_levels(handle):
     for i in range(len(rows)):
         if rows[i].link and _is_first_linked_chip(rows, i):
             linked_chips.exchange_wire_words(
-                rows, rows[i].link, get_world(handle).now, array_at(handle.edges, 0, EDGE), 0
+                rows, rows[i].link, get_world(handle).now, array_at(handle.edges, 0, LOGGED_EDGE), 0
             )

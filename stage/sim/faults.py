@@ -30,7 +30,7 @@ from typing import Any
 import mujoco
 
 from stage.chips import Chip
-from stage.chips.exclusive_access import exclusively
+from stage.chips.exclusive_access import get_stage_lock
 from stage.drives import stepper
 from stage.drives.dc_motors import DCMotor
 from stage.drives.motors import Motor
@@ -70,7 +70,7 @@ class Fault:
             )
         self.text, self.in_force = text, True
         self._stage, self._begin, self._things = stage, begin, frozenset(things)
-        with exclusively(stage):
+        with get_stage_lock(stage):
             self._end = begin()
             if stage is not None:
                 stage.note_fault(self, True)
@@ -79,7 +79,7 @@ class Fault:
         """End this fault now. Its effects on the state, such as lost steps, remain. A second call does nothing."""
         if not self.in_force:
             return
-        with exclusively(self._stage):
+        with get_stage_lock(self._stage):
             self.in_force = False
             above = self._list_dependent_faults()
             for fault in (*reversed(above), self):
@@ -113,7 +113,7 @@ class Fault:
         return f"<Fault {self.text}{'' if self.in_force else ', cleared'}>"
 
 
-def _make_change(
+def _make_value_replacement(
     get_value: Callable[[], Any], set_value: Callable[[Any], None], compute_new_value: Callable[[Any], Any]
 ) -> Callable[[], Callable[[], None]]:
     """Return the function that begins a fault: it replaces a value by a new one, and returns the function that restores it."""
@@ -215,7 +215,10 @@ def _make_switch_fault(axis: Axis, description: str, rows: dict[int, dict[str, i
 
     things = [(row, field) for row, change in rows.items() for field in change]
     return Fault(
-        stage, f"axis {axis.name}: {description}", _make_change(get_values, set_values, lambda _: rows), things
+        stage,
+        f"axis {axis.name}: {description}",
+        _make_value_replacement(get_values, set_values, lambda _: rows),
+        things,
     )
 
 
@@ -255,7 +258,9 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
         raise ArgumentError(
             f"factor={factor!r} of a payload of {before:g} kg: put one on with stage.set_payload; a factor is above 0."
         )
-    begin = _make_change(lambda: stage.payload(body), lambda kg: stage.set_payload(kg, body), lambda kg: kg * factor)
+    begin = _make_value_replacement(
+        lambda: stage.payload(body), lambda kg: stage.set_payload(kg, body), lambda kg: kg * factor
+    )
     return Fault(stage, f"payload {before * factor:g} kg in place of {before:g} kg", begin, ["payload"])
 
 
@@ -290,7 +295,7 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
         for field, value in zip(fields, values, strict=True):
             field[dof] = value
 
-    begin = _make_change(
+    begin = _make_value_replacement(
         get_friction, set_friction, lambda before: (before[0] + more, (2 * model.opt.timestep, 1), JAM_SOLIMP)
     )
     return Fault(axis.stage, f"axis {axis.name}: jammed", begin, [("friction", axis.name)])
@@ -355,7 +360,7 @@ def _make_axis_fault(
             setattr(axis.faults, field, value)
         stage.apply_faults()
 
-    begin = _make_change(
+    begin = _make_value_replacement(
         lambda: [getattr(a.faults, field) for a in axes],
         set_values,
         lambda before: [compute_new_value(v) for v in before],
@@ -392,7 +397,9 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
             f"motor={after.motor.name!r}: it has {after.motor.steps_per_turn} steps a turn, and axis {axis.name} is made for "
             f"{before.motor.steps_per_turn}: build a stage with it, drives={{{axis.name!r}: ...}}."  # type: ignore[union-attr]
         )
-    begin = _make_change(lambda: axis.drive, lambda drive: axis.stage.replace_drive(axis, drive), lambda _: after)
+    begin = _make_value_replacement(
+        lambda: axis.drive, lambda drive: axis.stage.replace_drive(axis, drive), lambda _: after
+    )
     text = f"axis {axis.name}: motor {after.motor.name} in place of {before.motor.name}"
     return Fault(axis.stage, text, begin, [("motor", axis.name)])
 

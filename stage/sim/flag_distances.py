@@ -7,8 +7,8 @@ from stage.native import array_of, declare_address_call, exported
 MAX_DISTANCE_M = 1e3
 """Largest distance that is measured; geoms that are farther apart get this distance."""
 
-_kinematics = declare_address_call(None, "i8", "i8")
-_distance = declare_address_call("f8", "i8", "i8", "i4", "i4", "f8", "i8")
+_call_mj_kinematics = declare_address_call(None, "i8", "i8")
+_call_mj_geom_distance = declare_address_call("f8", "i8", "i8", "i4", "i4", "f8", "i8")
 
 
 @exported(None, "i8", "i8", "i8", "i8", array_of("f8"), "i8", array_of("f8"), array_of("i4", 2), array_of("f8", 2))
@@ -28,6 +28,6 @@ def measure_distances(kinematics, distance, model, data, qpos, coordinate, posit
     """
     for i in range(len(positions)):
         qpos[coordinate] = positions[i]
-        _kinematics(kinematics, (model, data))
+        _call_mj_kinematics(kinematics, (model, data))
         for j in range(len(pairs)):
-            out[i, j] = _distance(distance, (model, data, pairs[j, 0], pairs[j, 1], MAX_DISTANCE_M, 0))
+            out[i, j] = _call_mj_geom_distance(distance, (model, data, pairs[j, 0], pairs[j, 1], MAX_DISTANCE_M, 0))

@@ -36,11 +36,11 @@ from stage.sim.program import (
     Program,
 )
 from stage.sim.stage import Stage
-from stage.sim.stage_loop import IN_USE
+from stage.sim.stage_loop import IN_USE_MESSAGE
 from stage.support.argument_checks import explain_arguments
 
 DEVICES = ("cpu", "cuda")
-MAX_TIME_NS = engine_records.SECOND * 10**9  # ns
+MAX_TIME_NS = engine_records.NS_PER_SECOND * 10**9  # ns
 CHUNKS_PER_THREAD = 4  # a thread's run_next_chunks, so that a slow stage does not hold up the rest
 
 
@@ -165,7 +165,7 @@ class Fleet:
         if by_python:
             compiled = ops.copy()
             compiled[by_python, 0] = END
-        lasts = ops[:, :, 1:].sum(dtype=float) > program_player.LONG  # times are in it
+        lasts = ops[:, :, 1:].sum(dtype=float) > program_player.MIN_BACKGROUND_PLAY_NS  # times are in it
         run = self._play_interruptibly if lasts else self.run_on_threads
         run(lambda a, b: program_player.play_programs(self.handles, a, b, compiled, results, extremes, status))
         self.check_status(status)
@@ -206,7 +206,7 @@ class Fleet:
         if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
             for k, why in enumerate(how):
                 if why not in (program_player.PLAYED, program_player.DIVERGED):
-                    raise StageError(f"stage {k} of the fleet: {IN_USE}")
+                    raise StageError(f"stage {k} of the fleet: {IN_USE_MESSAGE}")
 
     def truth(self) -> np.ndarray:
         """Return the true state of every axis of every stage now: a new array (stages, axes) of TRUTH records."""

@@ -14,14 +14,14 @@ import numpy as np
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, ModelError
-from stage.sim.engine_records import SECOND, SLICES
+from stage.sim.engine_records import NS_PER_SECOND, SLICES
 from stage.sim.plant import PlantAxis
 
 LEAPFROG_INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 }  # fmt: skip
 MIN_STEP_NS = 100 * SLICES  # ns
-MAX_TURN_RAD = 1.0
+MAX_OSCILLATION_PER_STEP_RAD = 1.0
 """rad: what the oscillation of a rotor on its microstep may turn by in a step. Moves lost their first steps from 1.09 on."""
 MIN_STEPS_PER_TIME_CONSTANT = 10
 """Minimum number of physics steps in a time constant of a DC motor.
@@ -48,7 +48,7 @@ def check_integration_options(model: mujoco.MjModel) -> None:
             f"and implicitfast take it; {name} wants several, and loses steps that no machine loses. Write {line}",
             [line],
         )
-    if not MIN_STEP_NS - 0.5 <= step * 1e9 <= SECOND:  # not a number is out of range, too
+    if not MIN_STEP_NS - 0.5 <= step * 1e9 <= NS_PER_SECOND:  # not a number is out of range, too
         raise ArgumentError(
             f"timestep {step} s: the stage needs {MIN_STEP_NS} ns to 1 s; the shipped models take {SHIPPED_STEP_S} s."
         )
@@ -125,4 +125,4 @@ def _find_max_step(axis: PlantAxis, drive: Drive | Servo, mobility: float) -> tu
     stiffness = drive.motor.rotor_teeth * (drive.motor.torque_constant * drive.amplitude + 4 * drive.detent_torque)
     omega = math.sqrt(stiffness * mobility) * abs(axis.gear)
     what = f"axis {axis.name} on its {m.name} oscillates at up to {omega / (2 * math.pi):.3g} Hz"
-    return (MAX_TURN_RAD / omega if omega else math.inf), what
+    return (MAX_OSCILLATION_PER_STEP_RAD / omega if omega else math.inf), what

@@ -30,7 +30,7 @@ def _list_field_names(kind: Any) -> list[str]:
     return [name for name in dir(kind) if not name.startswith("_")]
 
 
-def compute_fingerprint(model: Any) -> bytes:
+def compute_model_digest(model: Any) -> bytes:
     """Return 16 bytes that identify all values of an MjModel, in less than a millisecond."""
     digest = hashlib.blake2b(model.names + model.text_data, digest_size=16)
     for _, name, value in iterate_settings(model):
@@ -42,8 +42,8 @@ def compute_fingerprint(model: Any) -> bytes:
     return digest.digest()
 
 
-_MOVING_FIELD = re.compile("(body|jnt|dof|actuator|tendon|eq|pair|qpos|sensor)_?")
-_VISUAL_FIELD = re.compile("geom|bvh|group|objid|refid")  # depends on what is only looked at
+_MECHANICS_FIELD_PATTERN = re.compile("(body|jnt|dof|actuator|tendon|eq|pair|qpos|sensor)_?")
+_VISUAL_FIELD_PATTERN = re.compile("geom|bvh|group|objid|refid")  # depends on what is only looked at
 _CONTACT_FIELDS = (
     "type size pos quat friction solref solimp margin gap condim priority solmix contype conaffinity".split()
 )
@@ -52,7 +52,11 @@ _CONTACT_FIELDS = (
 @cache
 def _list_mechanics_fields(kind: Any) -> list[str]:
     """Return the names of the attributes that affect the mechanics of a model."""
-    return [name for name in _list_field_names(kind) if _MOVING_FIELD.match(name) and not _VISUAL_FIELD.search(name)]
+    return [
+        name
+        for name in _list_field_names(kind)
+        if _MECHANICS_FIELD_PATTERN.match(name) and not _VISUAL_FIELD_PATTERN.search(name)
+    ]
 
 
 def compute_mechanics_digest(model: Any) -> str:

@@ -16,7 +16,7 @@ from stage.errors import ArgumentError
 from stage.sim import mujoco_callbacks
 from stage.sim.integration_checks import check_dampers, check_step_length
 from stage.sim.plant import view_fitted_values
-from stage.sim.stage_state import SAVED, State
+from stage.sim.stage_state import SAVED_STATE_SPEC, State
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -76,7 +76,7 @@ def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
     stage, model, actuator = axis.stage, axis.stage.model, axis.plant.actuator
     stage.prepare_change()
     damped = bool(model.actuator_damping[actuator])
-    _set_windings(model, axis, drive)
+    _set_motor_constants(model, axis, drive)
     if bool(model.actuator_damping[actuator]) != damped:
         mujoco.mj_setConst(model, mujoco.MjData(model))
     set_drive_record(stage.state, axis, drive, stage.state.drives[axis.index])
@@ -89,11 +89,11 @@ def _set_model_values(model: Any, axis: Axis, drive: Drive | Servo, armature: fl
     model.dof_armature[axis.plant.dof] = armature
     fitted = view_fitted_values(model, axis.name)
     fitted[0] = drive.motor.rotor_inertia if axis.plant.motor else 0.0
-    _set_windings(model, axis, drive)
+    _set_motor_constants(model, axis, drive)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def _set_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
+def _set_motor_constants(model: Any, axis: Axis, drive: Drive | Servo) -> None:
     """Write the core loss of a stepper motor, or resistance and torque constant of a DC motor, into the model."""
     if isinstance(drive, Drive) and isinstance(axis.drive, Drive):
         damping = model.actuator_damping[axis.plant.actuator : axis.plant.actuator + 1]
@@ -129,12 +129,12 @@ def compute_power_up_state(state: State, axis: Axis, drive: Drive | Servo, forme
     """
     n = len(state.saved)
     data = mujoco.MjData(state.model)
-    mujoco.mj_setState(state.model, data, former_state[:n], SAVED)
+    mujoco.mj_setState(state.model, data, former_state[:n], SAVED_STATE_SPEC)
     begin = (state.drives.ctypes.data - state.data.userdata.ctypes.data) // data.userdata.itemsize
     words = state.drives.nbytes // data.userdata.itemsize
     record = data.userdata[begin : begin + words].view(state.drives.dtype)[axis.index]
     set_drive_record(state, axis, drive, record)
     any_drive.power_up(record, 0.0, float(data.qpos[axis.plant.qpos]) * axis.gear)
     after = former_state.copy()
-    mujoco.mj_getState(state.model, data, after[:n], SAVED)
+    mujoco.mj_getState(state.model, data, after[:n], SAVED_STATE_SPEC)
     return after

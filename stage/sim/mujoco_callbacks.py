@@ -18,13 +18,13 @@ import mujoco
 from stage.errors import SimulationError
 from stage.sim.mujoco_function_addresses import load_mujoco_library
 
-NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
-_POINTERS = [ctypes.c_void_p.in_dll(load_mujoco_library(), f"mjcb_{name}") for name in NAMES]
-ADDRESSES = [ctypes.addressof(pointer) for pointer in _POINTERS]
+CALLBACK_NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
+_CALLBACK_POINTERS = [ctypes.c_void_p.in_dll(load_mujoco_library(), f"mjcb_{name}") for name in CALLBACK_NAMES]
+CALLBACK_ADDRESSES = [ctypes.addressof(pointer) for pointer in _CALLBACK_POINTERS]
 """Addresses at which MuJoCo stores the pointers of its callbacks."""
-NATIVE = [
+NATIVE_CALLBACKS = [
     0 if callable(getattr(mujoco, f"get_mjcb_{name}")()) else pointer.value or 0
-    for name, pointer in zip(NAMES, _POINTERS, strict=True)
+    for name, pointer in zip(CALLBACK_NAMES, _CALLBACK_POINTERS, strict=True)
 ]
 """Pointers of the callbacks while no Python callback is set: 0, or MuJoCo's own function, as for the time."""
 
@@ -44,7 +44,7 @@ def guard_callbacks(take_error: Callable[[BaseException | None], bool]) -> Itera
     try:
         with _lock:
             if not _guards:
-                for name in NAMES:
+                for name in CALLBACK_NAMES:
                     callback = getattr(mujoco, f"get_mjcb_{name}")()
                     if callable(callback):
                         _installed[name] = callback, _make_guard(callback)

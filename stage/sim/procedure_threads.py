@@ -99,7 +99,7 @@ class ProcedureThread:
     def _take_turn(self) -> None:
         self._may_run.acquire()
         lock = getattr(self._schedule.machine, "lock", None)
-        self._permission: Any = nullcontext() if lock is None else lock.acting_for_owner()
+        self._permission: Any = nullcontext() if lock is None else lock.act_for_owner()
         self._permission.__enter__()
         if self._cancelling:
             raise ProcedureCancelled
@@ -162,11 +162,11 @@ class ProcedureSchedule:
         if thread in self.waiting:
             self.waiting.remove(thread)
 
-    def are_late(self, now: int) -> bool:
+    def is_overdue(self, now: int) -> bool:
         """Return whether a procedure has waited for MAX_DELAY_NS too long, and no procedure has its turn. `now` is in ns."""
         return self.running is None and any(now - thread.resume_at > MAX_DELAY_NS for thread in self.waiting)
 
-    def plan_run(self, now: int, until: int) -> int:
+    def resume_due_procedures(self, now: int, until: int) -> int:
         """Let the procedures go on that are due, and return the time up to which the machine's time may pass now, ns.
 
         A time that has gone back, because another state has been loaded, ends all procedures.

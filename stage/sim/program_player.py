@@ -40,9 +40,9 @@ HALTED = -2
 """Status of a program that was interrupted, because another thread has set `halt` in the handle."""
 UNREADY, REFUSED = -3, -4
 """Status of a program that a compiled task has not played: Python must play it, or the action is not in the action space."""
-MAX_PIECE_NS = 100_000_000
+HALT_CHECK_INTERVAL_NS = 100_000_000
 """Longest simulated time, ns, between two checks whether the program is to be interrupted."""
-LONG = 10 * MAX_PIECE_NS
+MIN_BACKGROUND_PLAY_NS = 10 * HALT_CHECK_INTERVAL_NS
 """Total simulated time, ns, below which programs are played without a background thread that Ctrl-C can interrupt."""
 
 TRUTH = record(
@@ -56,10 +56,10 @@ TRUTH = record(
 def _advance_unless_halted(handle, until_ns):
     """Let a stage's time pass up to `until_ns`, unless the play is halted. Return 0, or the reason of the stop."""
     w, end = get_world(handle), int(until_ns)
-    while end - w.now > MAX_PIECE_NS:
+    while end - w.now > HALT_CHECK_INTERVAL_NS:
         if handle.halt:
             return HALTED
-        bad = advance(handle, w.now + MAX_PIECE_NS)
+        bad = advance(handle, w.now + HALT_CHECK_INTERVAL_NS)
         if bad:
             return bad
     return HALTED if handle.halt else advance(handle, end)

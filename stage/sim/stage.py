@@ -45,8 +45,8 @@ from stage.sim.model_fingerprint import compute_mechanics_digest
 from stage.sim.motor_replacement import compute_power_up_state, replace_motor_in_model, set_drive_record
 from stage.sim.payload import Payloads
 from stage.sim.stage_loop import StageLoop
-from stage.sim.stage_snapshot import Snapshot, describe_stage
-from stage.sim.stage_state import SAVED, State, count_state_words, list_chips
+from stage.sim.stage_snapshot import Snapshot, make_snapshot_header
+from stage.sim.stage_state import SAVED_STATE_SPEC, State, count_state_words, list_chips
 from stage.sim.wiring_arguments import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
 from stage.support import html, snapshots
 from stage.support.argument_checks import explain_arguments
@@ -197,7 +197,9 @@ class Stage:
 
     def _make_header(self) -> SnapshotHeader:
         """Make the description of the stage in its snapshots, without the devices on its bus."""
-        return describe_stage(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
+        return make_snapshot_header(
+            self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked
+        )
 
     @property
     def lock(self) -> SessionLock | None:
@@ -261,7 +263,7 @@ class Stage:
             SimulationError: The simulation diverges, see `run`.
         """
         dt = self.state.dt
-        max_steps = MAX_RUN_S * engine_records.SECOND // dt
+        max_steps = MAX_RUN_S * engine_records.NS_PER_SECOND // dt
         if not 0 <= n <= max_steps or int(n) != n:
             raise ArgumentError(
                 f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {max_steps} ({MAX_RUN_S:g} s)."
@@ -298,7 +300,7 @@ class Stage:
             ArgumentError: `until` is not a whole number, or too far away.
             SimulationError: The simulation diverges, see `run`.
         """
-        if int(until) != until or until - self.state.now > MAX_RUN_S * engine_records.SECOND:
+        if int(until) != until or until - self.state.now > MAX_RUN_S * engine_records.NS_PER_SECOND:
             raise ArgumentError(
                 f"until={until!r}: a time is a whole number of ns since power-up, {MAX_RUN_S:g} s from now at most."
             )
@@ -412,7 +414,7 @@ class Stage:
         if not isinstance(drive, Drive | Servo):
             raise ArgumentError(f"drive={drive!r}: give a Drive or a Servo.")
         self.prepare_change()
-        self.loop.check_state_allowed()
+        self.loop.check_state_change_allowed()
         with self.loop.claim():
             replace_motor_in_model(self.model, self.data, self._axes, axis, drive)
             axis.drive = drive
@@ -511,7 +513,7 @@ class Stage:
             ArgumentError: The array has another shape or type.
         """
         self._check_state(state)
-        mujoco.mj_getState(self.model, self.data, state[: len(self.state.saved)], SAVED)
+        mujoco.mj_getState(self.model, self.data, state[: len(self.state.saved)], SAVED_STATE_SPEC)
         if self.device_state.words:
             self.device_state.copy_to(state[len(self.state.saved) :])
 
@@ -557,7 +559,7 @@ class Stage:
         state[: len(before.state)] = before.state
         self._header, self._initial = header, _make_snapshot(header, state, before.diagnostics)
 
-    def _without_devices(self, snapshot: Snapshot) -> Snapshot:
+    def _remove_devices(self, snapshot: Snapshot) -> Snapshot:
         """Remove the devices on the bus from a snapshot, for a copy of the stage, which has no board."""
         return _make_snapshot(self._bare, snapshot.state[: len(self.state.saved)].copy(), snapshot.diagnostics)
 
@@ -576,7 +578,7 @@ class Stage:
         snapshots.check_restorable(snapshot, Snapshot, self._header)
         if self.recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
-        self.loop.check_state_allowed()
+        self.loop.check_state_change_allowed()
         self.load_state(snapshot.state)
         for chip, diagnostics in zip(self.chips, snapshot.diagnostics, strict=True):
             chip.diagnostics[:] = diagnostics
@@ -692,8 +694,8 @@ class Stage:
     def __getstate__(self) -> dict[str, Any]:
         return {
             **self.describe_machine(),
-            "initial": self._without_devices(self._initial),
-            "now": self._without_devices(self.snapshot()),
+            "initial": self._remove_devices(self._initial),
+            "now": self._remove_devices(self.snapshot()),
         }
 
     def __setstate__(self, s: dict[str, Any]) -> None:

@@ -24,11 +24,11 @@ from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import engine, engine_records, mujoco_callbacks
 from stage.sim.compiled_stage_access import make_claim_token
 from stage.sim.procedure_threads import MIN_WAIT_NS, ProcedureSchedule
-from stage.sim.stage_state import POWERED, SAVED, START, State
+from stage.sim.stage_state import POWERED, SAVED_STATE_SPEC, START, State
 
 MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1  # s of real time, a piece of a long run takes between them
-FIRST_PIECE_STEPS = 16  # physics steps
-IN_USE = (
+FIRST_CALL_STEPS = 16  # physics steps
+IN_USE_MESSAGE = (
     "this stage is in use, by another thread or by the run that has called MuJoCo's callback: one thread at a time runs a stage "
     "or changes it. Give each thread a stage of its own, copy.deepcopy(stage); stage.sim.fleet.Fleet plays many on threads."
 )
@@ -78,7 +78,7 @@ class StageLoop:
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._opt = state.model.opt
         self._built = self._opt.timestep, self._opt.integrator
-        self._piece = FIRST_PIECE_STEPS * state.dt
+        self._piece = FIRST_CALL_STEPS * state.dt
         self._failure: BaseException | None = None
         self._reads: deque[tuple[Callable[[], Any], Future]] = deque()
 
@@ -110,7 +110,7 @@ class StageLoop:
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
         if self.state.clockwork["busy"].item(0):
-            raise StageError(IN_USE)
+            raise StageError(IN_USE_MESSAGE)
         self.ensure_powered()
 
     @contextmanager
@@ -123,7 +123,7 @@ class StageLoop:
         token = make_claim_token()
         try:
             if not engine.claim_stage.with_gil(self._pointer, token):
-                raise StageError(IN_USE)
+                raise StageError(IN_USE_MESSAGE)
             yield
         finally:
             engine.release_stage.with_gil(self._pointer, token)
@@ -141,7 +141,7 @@ class StageLoop:
         if self.time_refusal:
             raise StageError(self.time_refusal)
 
-    def check_state_allowed(self) -> None:
+    def check_state_change_allowed(self) -> None:
         """Check that another state may be loaded, or firmware run.
 
         Raises:
@@ -183,8 +183,8 @@ class StageLoop:
             if self.time_refusal:
                 raise StageError(self.time_refusal)
             goal = until if (pace := self.pace) is None or procedures.running else min(pace(until), until)
-            if procedures.waiting and (takes_turns or procedures.are_late(self._words.item(0))):
-                goal = procedures.plan_run(self._words.item(0), goal)
+            if procedures.waiting and (takes_turns or procedures.is_overdue(self._words.item(0))):
+                goal = procedures.resume_due_procedures(self._words.item(0), goal)
             self._run_to(goal)
             if goal >= until:
                 return
@@ -229,7 +229,7 @@ class StageLoop:
                     request.set_exception(error)
 
     @contextmanager
-    def advancing_by(self, advance: Callable[[int, int], int]) -> Iterator[None]:
+    def use_advance_function(self, advance: Callable[[int, int], int]) -> Iterator[None]:
         """Let time pass by another compiled function than `engine.advance` within this context.
 
         Args:
@@ -262,11 +262,11 @@ class StageLoop:
                 self._answer_reads()
             if long:
                 if status == engine_records.REACHED:
-                    self._piece = piece = self._choose_next_piece(perf_counter() - begin)
+                    self._piece = piece = self._choose_next_call_ns(perf_counter() - begin)
             elif status == engine_records.REACHED:
                 return
 
-    def _choose_next_piece(self, last_duration_s: float) -> int:
+    def _choose_next_call_ns(self, last_duration_s: float) -> int:
         """Choose the simulated time of the next piece of a long run, ns, from the real time of the last piece, s."""
         if last_duration_s < MIN_PIECE_S:
             return min(2 * self._piece, 1 << 60)
@@ -281,7 +281,7 @@ class StageLoop:
         elif status == engine_records.FAILED:
             error = self._undo_failure()
         elif status == engine_records.IN_USE:
-            raise StageError(IN_USE)
+            raise StageError(IN_USE_MESSAGE)
         if h["noted"]:
             self.journal_edges(int(h["noted"]))
             h["noted"] = 0
@@ -321,8 +321,8 @@ class StageLoop:
         self.check_time_allowed()
         state = self.state
         with self.claim():
-            self.apply_change(lambda: mujoco.mj_setState(state.model, state.data, saved, SAVED))
-            mujoco.mj_setState(state.model, state.data, saved, SAVED)
+            self.apply_change(lambda: mujoco.mj_setState(state.model, state.data, saved, SAVED_STATE_SPEC))
+            mujoco.mj_setState(state.model, state.data, saved, SAVED_STATE_SPEC)
 
     def apply_change(self, change: Callable[[], None]) -> None:
         """Call `change`, which changes MuJoCo's state, and update all dependent quantities. The caller has claimed the stage.
@@ -336,9 +336,9 @@ class StageLoop:
             mujoco.mj_forward(model, data)
             return
         before = np.empty_like(self.state.saved)
-        mujoco.mj_getState(model, data, before, SAVED)
+        mujoco.mj_getState(model, data, before, SAVED_STATE_SPEC)
         change()
-        mujoco_callbacks.forward_guarded(model, data, lambda: mujoco.mj_setState(model, data, before, SAVED))
+        mujoco_callbacks.forward_guarded(model, data, lambda: mujoco.mj_setState(model, data, before, SAVED_STATE_SPEC))
 
     # --- what the engine has noted ---
 
@@ -383,7 +383,7 @@ class StageLoop:
     def _undo_failure(self) -> BaseException:
         """Return to the state before the step in which a callback failed."""
         state = self.state
-        mujoco.mj_setState(state.model, state.data, state.saved, SAVED)
+        mujoco.mj_setState(state.model, state.data, state.saved, SAVED_STATE_SPEC)
         state.clockwork[0].failed = 0
         failure, self._failure = self._failure, None
         return mujoco_callbacks.make_callback_error(
@@ -404,11 +404,12 @@ class StageLoop:
         bad = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
         joint = model.joint(int(model.dof_jntid[bad])).name or f"degree of freedom {bad}"
         good = state.start - self._dt
-        mujoco.mj_setState(model, state.data, state.saved, SAVED)
+        mujoco.mj_setState(model, state.data, state.saved, SAVED_STATE_SPEC)
         self._advance(pointer, good)
         seconds = state.now * 1e-9
         return SimulationError(
-            f"the simulation diverged at {seconds:.6f} s on axis {joint!r}: its speed left +-{engine_records.MAX_SPEED:g} per "
+            f"the simulation diverged at {seconds:.6f} s on axis {joint!r}: its speed left "
+            f"+-{engine_records.MAX_JOINT_SPEED:g} per "
             f"second. The stage holds the state before that step. Usual causes: a timestep too long for the motor's "
             f"stiffness (now {model.opt.timestep} s), a mass near zero, or an external force that is not finite.",
             seconds,

@@ -39,7 +39,7 @@ class Snapshot(SavableSnapshot):
         return tuple(parse_diagnostics(chip) for chip in chips)
 
 
-def describe_stage(
+def make_snapshot_header(
     state: State,
     axes: Iterable[Axis],
     mechanics: str,
@@ -65,7 +65,7 @@ def describe_stage(
     for a in axes:
         constants = np.zeros(1, DRIVE)
         a.drive.fill_record(constants[0])
-        parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_digest(constants.tobytes())})"))
+        parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_compute_digest(constants.tobytes())})"))
     parts += [(f"encoder of axis {e.axis}", str(e)) for e in encoders]
     for a in axes:
         parts += [(f"wiring of axis {a.name}", f"{sensor} {logic}") for sensor, logic in a.wiring.items()]
@@ -75,17 +75,17 @@ def describe_stage(
     parts.append(("bus cycle", f"{state.bus} ns"))
     parts.append(("mechanics of the model", mechanics))
     kinds = (
-        engine_records.WORLD,
+        engine_records.STAGE_TIME,
         engine_records.AXIS,
         engine_records.SWITCH,
         DRIVE,
         *(rows.dtype for rows in state.chips),
     )
     layouts = " ".join(map(snapshots.hash_layout, kinds))
-    parts.append(("layout of the state", f"{_digest(layouts.encode())} ({len(state.saved)} words)"))
+    parts.append(("layout of the state", f"{_compute_digest(layouts.encode())} ({len(state.saved)} words)"))
     return snapshots.SnapshotHeader(tuple(parts))
 
 
-def _digest(data: bytes) -> str:
+def _compute_digest(data: bytes) -> str:
     """Return a short digest of bytes as text."""
     return hashlib.blake2b(data, digest_size=6).hexdigest()

@@ -19,17 +19,17 @@ from stage.chips import Chip, ChipAxis, core_interface
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
-from stage.native import address_of, without_attributes
+from stage.native import address_of, remove_attribute_access
 from stage.sim import compiled_stage_access as handle
 from stage.sim import engine_records, mujoco_callbacks, mujoco_function_addresses
 from stage.sim.plant import PlantAxis
 from stage.sim.wiring_arguments import Wires
 
-SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
-EDGES = 640
-LINK_EDGES = 64
-_FIELDS = engine_records.WORLD.names or ()
-START, POWERED = _FIELDS.index("start"), _FIELDS.index("powered")
+SAVED_STATE_SPEC = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
+SPARE_EDGE_COUNT = 640
+SPARE_LINKED_EDGE_COUNT = 64
+_STAGE_TIME_FIELDS = engine_records.STAGE_TIME.names or ()
+START, POWERED = _STAGE_TIME_FIELDS.index("start"), _STAGE_TIME_FIELDS.index("powered")
 
 
 class State:
@@ -111,18 +111,18 @@ class State:
         self.offset, self.bus, self.dt = offset, bus, round(model.opt.timestep * 1e9)
         chips = list_chips(chip_axes)
         self._allocate_records(len(plant), sum(len(p.switches) for p in plant), chips)
-        self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
+        self._set_engine_constants(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
         self._set_chip_table(chips, wires.leaders, wires.linked)
         self._set_axis_table(plant, chip_axes, drives, chips, encoders, wires)
-        self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
+        self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED_STATE_SPEC))
         rows = np.zeros(1, handle.HANDLE)
         handle.fill_handle(rows, 0, self)
-        self.pointer, self.handle = rows.ctypes.data, rows.view(without_attributes(handle.HANDLE))[0]
-        max_edges = engine_records.EDGES_A_WINDOW * len(plant)
+        self.pointer, self.handle = rows.ctypes.data, rows.view(remove_attribute_access(handle.HANDLE))[0]
+        max_edges = engine_records.MAX_EDGES_PER_WINDOW * len(plant)
         for chip in wires.linked:  # a pulse a clock, and what goes before and after it
-            max_edges += engine_records.compute_clock_at(self.dt, chip.clock_hz) + LINK_EDGES
+            max_edges += engine_records.compute_clock_at(self.dt, chip.clock_hz) + SPARE_LINKED_EDGE_COUNT
         self.clockwork["most_edges"], self.clockwork["linked"] = max_edges, len(wires.linked)
-        self.set_edge_buffer(np.zeros(EDGES + max_edges, engine_records.EDGE))
+        self.set_edge_buffer(np.zeros(SPARE_EDGE_COUNT + max_edges, engine_records.LOGGED_EDGE))
 
     @property
     def now(self) -> int:
@@ -155,26 +155,26 @@ class State:
             words_cut, left = left[:words], left[words:]
             return words_cut.view(dtype)
 
-        self.world = take_records(engine_records.WORLD, 1)
+        self.world = take_records(engine_records.STAGE_TIME, 1)
         self.words = self.world.view(np.int64)
         self.axes = take_records(engine_records.AXIS, axis_count)
         self.chips = [take_records(chip.CORE.STATE, 1) for chip in chips]
         self.drives = take_records(DRIVE, axis_count)
         self.switches = take_records(engine_records.SWITCH, switch_count)
-        self.latches = take_records(engine_records.ADDRESS, len(chips))
-        self.axis_table = np.zeros(axis_count, engine_records.AXIS_TABLE)
-        self.switch_table = np.zeros(switch_count, engine_records.SWITCH_TABLE)
-        self.chip_table = np.zeros(len(chips), engine_records.CHIP_TABLE)
-        self.clockwork = np.zeros(1, engine_records.CLOCKWORK)
+        self.latches = take_records(engine_records.ADDRESS_TYPE, len(chips))
+        self.axis_table = np.zeros(axis_count, engine_records.AXIS_ROW)
+        self.switch_table = np.zeros(switch_count, engine_records.SWITCH_ROW)
+        self.chip_table = np.zeros(len(chips), engine_records.CHIP_ROW)
+        self.clockwork = np.zeros(1, engine_records.ENGINE_CONSTANTS)
 
-    def _set_clockwork(self, encoders: int) -> None:
+    def _set_engine_constants(self, encoders: int) -> None:
         """Fill the CLOCKWORK record: durations, counts, and the addresses of MuJoCo's functions."""
         w, dt = self.clockwork[0], self.dt
         w.mj_step, w.mj_get_state = (
             mujoco_function_addresses.find_mujoco_address("mj_step"),
             mujoco_function_addresses.find_mujoco_address("mj_getState"),
         )
-        w.state_spec, w.encoders = int(SAVED), encoders
+        w.state_spec, w.encoders = int(SAVED_STATE_SPEC), encoders
         w.dt, w.slices, w.h, w.half, w.nv = (
             dt,
             engine_records.SLICES,
@@ -182,7 +182,7 @@ class State:
             dt * 0.5e-9,
             self.model.nv,
         )
-        w.callbacks, w.native = mujoco_callbacks.ADDRESSES, mujoco_callbacks.NATIVE
+        w.callbacks, w.native = mujoco_callbacks.CALLBACK_ADDRESSES, mujoco_callbacks.NATIVE_CALLBACKS
 
     def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:
         """Fill the table of chips: a CHIP record with the addresses of each chip."""
@@ -257,9 +257,9 @@ def count_state_words(axes: Sequence[ChipAxis], switch_count: int) -> int:
     """
     per_axis = engine_records.AXIS.itemsize + DRIVE.itemsize
     rows = sum(chip.CORE.STATE.itemsize for chip in list_chips(axes))
-    latches = len(list_chips(axes)) * engine_records.ADDRESS.itemsize
+    latches = len(list_chips(axes)) * engine_records.ADDRESS_TYPE.itemsize
     return (
-        engine_records.WORLD.itemsize
+        engine_records.STAGE_TIME.itemsize
         + len(axes) * per_axis
         + rows
         + switch_count * engine_records.SWITCH.itemsize

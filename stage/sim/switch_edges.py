@@ -16,27 +16,27 @@ from stage.sim.compiled_stage_access import (
     get_switches,
     get_world,
     has_edge_room,
-    note_edge,
+    log_edge,
 )
 from stage.sim.engine_records import (
     FLAG_EDGE,
-    HYSTERESIS,
     INDEX,
     INDEX_HYSTERESIS,
     NEVER,
-    SECOND,
-    TURN,
+    NS_PER_SECOND,
+    SWITCH_HYSTERESIS_M,
+    TURN_RAD,
     compute_clock_at,
 )
 
-UNREACHED = 1e300  # joint travel to an edge that is not ahead
-RELIABLE_SHARE = 0.8  # share of the travel beside an edge in which the sensor's distance tells the place
+UNREACHED_TRAVEL = 1e300  # joint travel to an edge that is not ahead
+RELIABLE_TRAVEL_SHARE = 0.8  # share of the travel beside an edge in which the sensor's distance tells the place
 
 
 @hot
 def measure_index_offset(axis_row, position):
     """Return the turns from the nearest index mark to the rotor, -0.5 to 0.5."""
-    angle = position * axis_row.gear / TURN - axis_row.index_at
+    angle = position * axis_row.gear / TURN_RAD - axis_row.index_at
     return angle - floor(angle + 0.5)
 
 
@@ -44,7 +44,7 @@ def measure_index_offset(axis_row, position):
 def _predict_index_edges(world, axis, axis_row, position, velocity, half_step):
     """Predict, at the start of a window, when the index pulse begins and ends in it; there are at most two such edges."""
     axis.index_edge = axis.index_end = NEVER
-    speed = velocity * axis_row.gear / TURN
+    speed = velocity * axis_row.gear / TURN_RAD
     direction = 1.0 if speed >= 0.0 else -1.0
     off = (measure_index_offset(axis_row, position) - speed * half_step) * direction  # as if the motor turned forward
     off -= floor(off + 0.5)
@@ -57,11 +57,11 @@ def _predict_index_edges(world, axis, axis_row, position, velocity, half_step):
     else:
         wait = -rim - off if off < -rim else 1.0 - rim - off
     if wait <= speed * 2.0 * half_step:
-        axis.index_edge = world.start + (int(wait / speed * SECOND) if wait > 0.0 else 0)
+        axis.index_edge = world.start + (int(wait / speed * NS_PER_SECOND) if wait > 0.0 else 0)
         if not axis.index_on:
             last = wait + INDEX + INDEX_HYSTERESIS if wait > 0.0 else rim + INDEX_HYSTERESIS - off
             if 0.0 < last < speed * 2.0 * half_step:
-                axis.index_end = world.start + int(last / speed * SECOND)
+                axis.index_end = world.start + int(last / speed * NS_PER_SECOND)
         axis.next_edge = least(axis.next_edge, axis.index_edge)
 
 
@@ -84,7 +84,7 @@ def _measure_travel_from(edge, position, turn):
 @hot
 def _find_nearest_edge(edges, switch_row, position):
     """Return the index of the flag edge of a switch that is nearest to `position`."""
-    k, nearest = switch_row.first_edge, UNREACHED
+    k, nearest = switch_row.first_edge, UNREACHED_TRAVEL
     for i in range(switch_row.first_edge, switch_row.end_edge):
         away = abs(_measure_travel_from(edges[i], position, switch_row.turn))
         if away < nearest:
@@ -112,10 +112,10 @@ def _correct_flag_shift(edges, switch, switch_row, position, distance):
     x, sensed = _measure_travel_from(e, position, switch_row.turn), distance / e.slope
     limit = 0.0
     if sensed < e.below or sensed > e.above:
-        limit = RELIABLE_SHARE * (e.above if sensed > 0.0 else e.below)
+        limit = RELIABLE_TRAVEL_SHARE * (e.above if sensed > 0.0 else e.below)
         if (x - limit) * sensed >= 0.0:
             return
-    error, correction, allowed = UNREACHED, x - limit, 0.0
+    error, correction, allowed = UNREACHED_TRAVEL, x - limit, 0.0
     for i in range(switch_row.first_edge, switch_row.end_edge):
         e = edges[i]
         x, sensed = _measure_travel_from(e, position, switch_row.turn), distance / e.slope
@@ -137,7 +137,7 @@ def _shift_flag_ahead_of_joint(flag_edges, switch, switch_row, position, velocit
         velocity: Speed of the joint, m/s (rad/s).
         distance: Distance that the sensor measures, m.
     """
-    k, nearest = -1, UNREACHED
+    k, nearest = -1, UNREACHED_TRAVEL
     for i in range(switch_row.first_edge, switch_row.end_edge):
         away = abs(_measure_travel_from(flag_edges[i], position, switch_row.turn))
         if flag_edges[i].slope * velocity < 0.0 and away < nearest:
@@ -172,7 +172,7 @@ def _measure_travel_to_change(edges, switch_row, position, direction, passed_tra
     Returns:
         Travel in m (rad); `passed_travel` if the switch should already have changed; UNREACHED if no edge is ahead.
     """
-    hysteresis, ahead = HYSTERESIS if asserted else 0.0, UNREACHED
+    hysteresis, ahead = SWITCH_HYSTERESIS_M if asserted else 0.0, UNREACHED_TRAVEL
     outside = _measure_distance_outside(edges, switch_row, position + direction * passed_travel)
     if (outside > hysteresis) if asserted else (outside <= 0.0):
         return passed_travel
@@ -209,14 +209,14 @@ def predict_switch_changes(world, axis, clockwork, switch, switch_row, position,
             edges, direction = _get_flag_edges(clockwork), 1.0 if velocity >= 0.0 else -1.0
             position -= velocity * clockwork.half + switch.shift
             speed = velocity * direction
-            last, gone = speed * 2.0 * clockwork.half, speed * (float(world.now - world.start) / SECOND)
+            last, gone = speed * 2.0 * clockwork.half, speed * (float(world.now - world.start) / NS_PER_SECOND)
             travel = _measure_travel_to_change(edges, switch_row, position, direction, gone, switch.on)
             if travel <= last:
-                switch.edge = world.start + int(travel / speed * SECOND) if travel > gone else world.now
+                switch.edge = world.start + int(travel / speed * NS_PER_SECOND) if travel > gone else world.now
                 if switch_row.bounce == 0:
                     travel = _measure_travel_to_change(edges, switch_row, position, direction, travel, 1 - switch.on)
                     if gone < travel <= last:
-                        switch.next_edge = world.start + int(travel / speed * SECOND)
+                        switch.next_edge = world.start + int(travel / speed * NS_PER_SECOND)
     axis.next_edge = least(axis.next_edge, switch.edge)
 
 
@@ -300,7 +300,7 @@ def predict_axis_switch_edges(
 
 
 @hot
-def apply_switches(axis_row, switches, switch_table, word):
+def set_switch_bits(axis_row, switches, switch_table, word):
     """Return the input word of an axis with the bits of its switches set to their present levels.
 
     If two switches are wired to one pin, either of them asserts it. A sensor of positive logic sets its bit while
@@ -314,7 +314,7 @@ def apply_switches(axis_row, switches, switch_table, word):
 
 
 @hot
-def apply_index_pulse(axis_row, axis, word):
+def set_index_bit(axis_row, axis, word):
     """Return the input word of an axis with the bit of its index pulse set to the present level."""
     return (
         word | axis_row.index_bit
@@ -335,12 +335,12 @@ def process_axis_edges(axis, axis_row, chip, chip_axis, switches, switch_table, 
             if s.toggles or switch_table[k].bounce:
                 _schedule_next_toggle(s, switch_table[k], now_ns)
         axis.next_edge = least(axis.next_edge, s.edge)
-    word = apply_switches(axis_row, switches, switch_table, core_interface.read_inputs(chip, chip_axis))
+    word = set_switch_bits(axis_row, switches, switch_table, core_interface.read_inputs(chip, chip_axis))
     if axis_row.index_bit:
         if axis.index_edge <= now_ns:
             axis.index_edge, axis.index_end = axis.index_end, NEVER
             axis.index_on = 1 - axis.index_on
-            word = apply_index_pulse(axis_row, axis, word)
+            word = set_index_bit(axis_row, axis, word)
         axis.next_edge = least(axis.next_edge, axis.index_edge)
     core_interface.set_input(chip, chip_axis, word)
 
@@ -358,7 +358,7 @@ def find_next_edge(axis_records, chip):
 def journal_input(handle, now_ns, chip, chip_axis):
     """Log for the journal that the input pins of chip axis `chip_axis` have changed at `now_ns` ns."""
     if has_edge_room(handle):
-        note_edge(
+        log_edge(
             handle,
             now_ns,
             chip,

@@ -14,7 +14,7 @@ from stage.errors import ArgumentError, add_article, unknown_name_error
 from stage.sim.plant import PlantAxis
 
 WiringChoice = Mapping[str, Mapping[str, str]] | None
-LOGIC = ("negative", "positive")
+SENSOR_LOGICS = ("negative", "positive")
 """Low while it is on; high while it is on. The default is what the chip takes as asserted after a reset, see `Chip.LOGIC`."""
 
 
@@ -56,10 +56,11 @@ def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any)
     for sensor, logic in sensors.items():
         if sensor not in fitted:
             raise unknown_name_error(f"sensor of axis {plant.name}", sensor, fitted)
-        if logic not in LOGIC:
+        if logic not in SENSOR_LOGICS:
             raise ArgumentError(
-                f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {LOGIC[0]!r} (low while the sensor is "
-                f"on) or {LOGIC[1]!r} (high); the default is {chip.LOGIC!r}."
+                f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {SENSOR_LOGICS[0]!r} (low "
+                f"while the sensor is "
+                f"on) or {SENSOR_LOGICS[1]!r} (high); the default is {chip.LOGIC!r}."
             )
         if not chip.find_switch_input(sensor):
             raise ArgumentError(

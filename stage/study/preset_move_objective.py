@@ -36,7 +36,7 @@ Space = Mapping[str, str | int]
 SPACE: Space = {"R1": "4:100:log", "R2": "400:2800", "R4": "60:800:log", "R5": "60:800:log", "R7": 12}
 """A space to search: 0.2 to 5 kpps of FL, 20 to 140 kpps of FH1, ramps of 5 ms to 0.45 s."""
 
-_local = threading.local()
+_thread_stages = threading.local()
 
 
 class RegisterRange(NamedTuple):
@@ -273,7 +273,7 @@ def build_profile(registers: Mapping[str, int], chip: Any) -> Profile:
 
 def _get_thread_stage(model: str, chip: Any) -> tuple[Stage, Any]:
     """Return the stage that this thread uses for a model and a chip, and the stage's snapshot at power-up."""
-    stages = _local.__dict__.setdefault("stages", {})
+    stages = _thread_stages.__dict__.setdefault("stages", {})
     if (model, chip) not in stages:
         stage = Stage(model, chips=chip)
         stages[model, chip] = stage, stage.snapshot()

@@ -16,7 +16,7 @@ from stage.errors import ArgumentError, LoadError
 
 
 @dataclass(frozen=True)
-class PackagePart:
+class PackageEntryPoint:
     """Entry point of an installed package.
 
     Attributes:
@@ -33,7 +33,7 @@ class PackagePart:
         return f"package {self.package} ({self.name} = {self.where!r})"
 
 
-def find_package_parts(group: str, normalize: Callable[[str], str]) -> dict[str, list[PackagePart]]:
+def find_entry_points(group: str, normalize: Callable[[str], str]) -> dict[str, list[PackageEntryPoint]]:
     """Find the entry points of a group in all installed packages.
 
     Args:
@@ -46,19 +46,19 @@ def find_package_parts(group: str, normalize: Callable[[str], str]) -> dict[str,
     """
     from importlib.metadata import entry_points  # takes 50 ms, and most commands need only what PulseStage brings
 
-    parts: dict[str, list[PackagePart]] = {}
+    parts: dict[str, list[PackageEntryPoint]] = {}
     for point in entry_points(group=group):
         package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else "of unknown name"
-        part = PackagePart(point.name, package, point.value)
+        part = PackageEntryPoint(point.name, package, point.value)
         if part not in parts.setdefault(normalize(point.name), []):
             parts[normalize(point.name)].append(part)
     return parts
 
 
-def may_have_package_part(group: str, name: str, normalize: Callable[[str], str]) -> bool:
+def may_have_entry_point(group: str, name: str, normalize: Callable[[str], str]) -> bool:
     """Return whether an installed package may bring a part of a name.
 
-    The function only searches the text of the entry-point files, which takes a few ms; `find_package_parts` parses them in 50 ms.
+    The function only searches the text of the entry-point files, which takes a few ms; `find_entry_points` parses them in 50 ms.
 
     Args:
         group: Name of the group.
@@ -76,8 +76,8 @@ def may_have_package_part(group: str, name: str, normalize: Callable[[str], str]
     return False
 
 
-def load_package_part(
-    kind: str, name: str, parts: Sequence[PackagePart], use: Callable[[Any], Any] | None = None
+def load_entry_point(
+    kind: str, name: str, parts: Sequence[PackageEntryPoint], use: Callable[[Any], Any] | None = None
 ) -> Any:
     """Import the package that supplies a part, and return the object of the part.
 

@@ -31,13 +31,13 @@ class Requirement(NamedTuple):
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 INSTALLED_EXAMPLES = Path(__file__).resolve().parents[1] / "examples_"
-PROGRAMS = (
+EXAMPLE_SCRIPTS = (
     "home_and_move", "straight_line", "stall", "own_stage", "circles_and_helices", "s_curve", "servo_moves", "gcode_controller",
     "sweep", "origin_spread",
 )  # fmt: skip
 NOTEBOOKS = ("tour", "register_tuning", "firmware")
 EXAMPLE_PATHS = {
-    **{name: f"scripts/{name}.py" for name in PROGRAMS},
+    **{name: f"scripts/{name}.py" for name in EXAMPLE_SCRIPTS},
     "drivers": "scripts/firmware",
     "gcode": "scripts/firmware/gcode",
     "acme_chip": "scripts/acme_chip",
@@ -91,7 +91,7 @@ def copy_example(name: str, folder: Path, overwrite: bool = False) -> Path:
         FileError: The copy exists already, or cannot be written.
     """
     source = find_example(name)
-    target = folder / (f"{name}{source.suffix}" if name in PROGRAMS else name)
+    target = folder / (f"{name}{source.suffix}" if name in EXAMPLE_SCRIPTS else name)
     if not folder.is_dir():
         raise FileError(f"{folder} is no folder. Make it first, or choose another.")
     if target.exists() and not overwrite:

@@ -22,7 +22,7 @@ import numpy as np
 from stage.errors import ArgumentError, StageError, add_article
 from stage.support.files import FileError, check_readable
 
-MAX_LEVELS = 64
+MAX_NESTING_LEVELS = 64
 """Maximum depth of nested lists and mappings in a document."""
 MAX_INTEGER_BITS = 256
 MAX_DOCUMENT_BYTES = 1 << 20
@@ -204,7 +204,7 @@ def _parse_within_bounds(parse: Callable[[], Any]) -> Any:
         inner: list[Any] = []
         for value in values:
             if isinstance(value, dict | list):
-                if level > MAX_LEVELS:
+                if level > MAX_NESTING_LEVELS:
                     raise DocumentError(_describe_depth_limit())
                 inner += value.values() if isinstance(value, dict) else value
             elif isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
@@ -214,4 +214,4 @@ def _parse_within_bounds(parse: Callable[[], Any]) -> Any:
 
 
 def _describe_depth_limit() -> str:
-    return f"it is nested deeper than {MAX_LEVELS} levels"
+    return f"it is nested deeper than {MAX_NESTING_LEVELS} levels"

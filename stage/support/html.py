@@ -10,15 +10,17 @@ from typing import Any
 
 from stage.support.extras import ExtraMissing
 
-CELL = 'style="text-align:left"'
+CELL_STYLE = 'style="text-align:left"'
 
 
 def format_table(rows: Iterable[Sequence[Any]], headings: Sequence[Any] = ()) -> str:
     """Format rows as a table with `headings` above its columns. Texts are escaped."""
     above = (
-        f"<thead><tr>{''.join(f'<th {CELL}>{escape(str(h))}</th>' for h in headings)}</tr></thead>" if headings else ""
+        f"<thead><tr>{''.join(f'<th {CELL_STYLE}>{escape(str(h))}</th>' for h in headings)}</tr></thead>"
+        if headings
+        else ""
     )
-    body = "".join(f"<tr>{''.join(f'<td {CELL}>{escape(str(v))}</td>' for v in row)}</tr>" for row in rows)
+    body = "".join(f"<tr>{''.join(f'<td {CELL_STYLE}>{escape(str(v))}</td>' for v in row)}</tr>" for row in rows)
     return f"<table>{above}<tbody>{body}</tbody></table>"
 
 

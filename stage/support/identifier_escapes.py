@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Container
 
-_UNFIT = re.compile(r"\W|^\d|_(?=u[0-9a-f]+(?:_|\W))", re.ASCII)
-_ESCAPED = re.compile(r"_u([0-9a-f]+)_")
+_INVALID_CHARACTER = re.compile(r"\W|^\d|_(?=u[0-9a-f]+(?:_|\W))", re.ASCII)
+_ESCAPE_SEQUENCE = re.compile(r"_u([0-9a-f]+)_")
 
 
 def escape_name(name: str, reserved: Container[str] = ()) -> str:
@@ -23,7 +23,7 @@ def escape_name(name: str, reserved: Container[str] = ()) -> str:
         name: Any text.
         reserved: Keywords of the format; if the name is one of them, its first letter is escaped.
     """
-    word = _UNFIT.sub(lambda match: _escape_character(match[0]), name)
+    word = _INVALID_CHARACTER.sub(lambda match: _escape_character(match[0]), name)
     return _escape_character(word[0]) + word[1:] if word in reserved else word
 
 
@@ -33,4 +33,4 @@ def _escape_character(character: str) -> str:
 
 def unescape_name(word: str) -> str:
     """Return the name that `escape_name` has written as `word`."""
-    return _ESCAPED.sub(lambda match: chr(int(match[1], 16)), word)
+    return _ESCAPE_SEQUENCE.sub(lambda match: chr(int(match[1], 16)), word)

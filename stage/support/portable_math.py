@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 
-def _apply_elementwise(function: Callable[[float], float]) -> Callable[[Any], Any]:
+def _make_elementwise(function: Callable[[float], float]) -> Callable[[Any], Any]:
     """Return a function that applies `function` to a number, or to each element of an array."""
 
     def call(x: Any) -> Any:
@@ -47,10 +47,10 @@ def _exp(v: float) -> float:
 
 
 log, log1p, exp, cbrt = (
-    _apply_elementwise(_log),
-    _apply_elementwise(_log1p),
-    _apply_elementwise(_exp),
-    _apply_elementwise(math.cbrt),
+    _make_elementwise(_log),
+    _make_elementwise(_log1p),
+    _make_elementwise(_exp),
+    _make_elementwise(math.cbrt),
 )
 
 

@@ -25,13 +25,13 @@ import numpy as np
 from stage.errors import ArgumentError
 from stage.support.files import write_atomically
 from stage.support.foreign_files import parse_json, read_bytes
-from stage.support.snapshots import VERSION, Snapshot, SnapshotHeader
+from stage.support.snapshots import STATE_VERSION, Snapshot, SnapshotHeader
 
 MAGIC = b"PulseStage snapshot\n"
-FORMAT = 1
-LENGTHS = struct.Struct("<IIQ")
+FORMAT_VERSION = 1
+LENGTHS_STRUCT = struct.Struct("<IIQ")
 DIGEST_BYTES = hashlib.sha256().digest_size
-MIN_FILE_BYTES = len(MAGIC) + LENGTHS.size + DIGEST_BYTES
+MIN_FILE_BYTES = len(MAGIC) + LENGTHS_STRUCT.size + DIGEST_BYTES
 MAX_FILE_BYTES = 1 << 26
 """Maximum size of a snapshot file that is read."""
 
@@ -64,13 +64,13 @@ class SavableSnapshot(Snapshot):
         state = np.frombuffer(self.state, np.uint8).tobytes()
         description = {
             "of": self.of,
-            "version": VERSION,
+            "version": STATE_VERSION,
             "parts": self.header.parts,
             "noted": self.diagnostics,
             "checksum": self.checksum,
         }
         head = json.dumps(description).encode()
-        content = MAGIC + LENGTHS.pack(FORMAT, len(head), len(state)) + head + state
+        content = MAGIC + LENGTHS_STRUCT.pack(FORMAT_VERSION, len(head), len(state)) + head + state
         with write_atomically(path, overwrite) as part:
             part.write_bytes(content + hashlib.sha256(content).digest())
         return Path(path)
@@ -97,10 +97,10 @@ class SavableSnapshot(Snapshot):
         if not isinstance(data, bytes):
             raise SnapshotError(f"data={data!r}: give the bytes of a snapshot's file.")
         description, state = _split_file(name, data)
-        if description["version"] != VERSION:
+        if description["version"] != STATE_VERSION:
             raise SnapshotError(
                 f"{name} is of version {description['version']} of {description['of']}'s state, and this PulseStage reads version "
-                f"{VERSION}: take it anew."
+                f"{STATE_VERSION}: take it anew."
             )
         if description["of"] != cls.of:
             raise SnapshotError(f"{name} is a snapshot of {description['of']}, and was loaded as one of {cls.of}.")
@@ -136,10 +136,11 @@ def _split_file(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
         )
     if len(data) < MIN_FILE_BYTES:
         raise SnapshotError(_describe_damage(name, f"it has {len(data)} bytes, and the shortest has {MIN_FILE_BYTES}"))
-    form, head, state = LENGTHS.unpack_from(data, len(MAGIC))
-    if form != FORMAT:
+    form, head, state = LENGTHS_STRUCT.unpack_from(data, len(MAGIC))
+    if form != FORMAT_VERSION:
         raise SnapshotError(
-            f"{name} is a snapshot of file format {form}, and this PulseStage reads format {FORMAT}: read it with the version that "
+            f"{name} is a snapshot of file format {form}, and this PulseStage reads format {FORMAT_VERSION}: read it "
+            f"with the version that "
             "wrote it, or take it anew."
         )
     if len(data) != MIN_FILE_BYTES + head + state:
@@ -148,7 +149,7 @@ def _split_file(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
         )
     if hashlib.sha256(data[:-DIGEST_BYTES]).digest() != data[-DIGEST_BYTES:]:
         raise SnapshotError(_describe_damage(name, "its SHA-256 is not that of its content"))
-    begin = len(MAGIC) + LENGTHS.size
+    begin = len(MAGIC) + LENGTHS_STRUCT.size
     try:
         description = parse_json(data[begin : begin + head])
         if (

@@ -19,7 +19,7 @@ import numpy as np
 
 from stage.errors import ArgumentError
 
-VERSION = 1
+STATE_VERSION = 1
 """Version of the state; increased when the meaning of a state changes although its layout stays the same."""
 
 
@@ -32,7 +32,7 @@ class SnapshotHeader:
     @cached_property
     def checksum(self) -> int:
         """CRC-32 of the parts."""
-        return zlib.crc32(repr((VERSION, self.parts)).encode())
+        return zlib.crc32(repr((STATE_VERSION, self.parts)).encode())
 
 
 Header = SnapshotHeader
@@ -72,7 +72,7 @@ class Snapshot:
 
     def __reduce__(self) -> tuple:
         packed = pickle.dumps(tuple(getattr(self, field.name) for field in fields(self)))
-        return _unpacked, (type(self), VERSION, packed, zlib.crc32(packed))
+        return _unpacked, (type(self), STATE_VERSION, packed, zlib.crc32(packed))
 
     def __setstate__(self, state: Any) -> None:
         raise ArgumentError(f"this snapshot of {self.of} is from before snapshots had a header: take it anew.")
@@ -80,9 +80,9 @@ class Snapshot:
 
 def _unpacked(cls: type[Snapshot], version: int, packed: bytes, checksum: int) -> Snapshot:
     """Return a snapshot from its pickled form. Raises ArgumentError if it is damaged or of another version."""
-    if version != VERSION:
+    if version != STATE_VERSION:
         raise ArgumentError(
-            f"this snapshot of {cls.of} is of format {version}, and this PulseStage reads format {VERSION}: take it anew."
+            f"this snapshot of {cls.of} is of format {version}, and this PulseStage reads format {STATE_VERSION}: take it anew."
         )
     if not isinstance(packed, bytes) or zlib.crc32(packed) != checksum:
         raise _make_damage_error(cls)

@@ -21,10 +21,10 @@ import numpy as np
 from stage.board.board import Board
 from stage.errors import ArgumentError, unknown_name_error
 from stage.targets import avr_clock_and_pins
-from stage.targets.avr_clock_and_pins import PORTS
+from stage.targets.avr_clock_and_pins import PORT_LETTERS
 
-FORM = "data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0"
-KEYS = ("data", "address", "cs", "wr", "rd", "irq", "base")
+BUS_PINS_EXAMPLE = "data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0"
+BUS_PIN_KEYS = ("data", "address", "cs", "wr", "rd", "irq", "base")
 PIN_ALL, DIRECTION_ALL = 8, 9
 """The simavr IRQs of a port's levels and directions."""
 Pin = tuple[int, int]
@@ -64,13 +64,13 @@ class AvrBus:
     """
 
     def __init__(self, pins: BusPins, avr: Any, board: Board):
-        n = len(PORTS)
+        n = len(PORT_LETTERS)
         self._levels, self._outputs = np.zeros(n, "i8"), np.zeros(n, "i8")
         none = (avr_clock_and_pins.NO_PIN, 0)
         self._pins = np.array([p or none for p in (pins.cs, pins.wr, pins.rd, *pins.address)], avr_clock_and_pins.PIN)
         self._data = np.array([avr.find_irq(pins.data, bit) for bit in range(8)], "i8")
         self._warning = ctypes.create_string_buffer(
-            f"port {PORTS[pins.data]} has output pins while /RD is low: AVR and board both drive the data lines".encode()
+            f"port {PORT_LETTERS[pins.data]} has output pins while /RD is low: AVR and board both drive the data lines".encode()
         )
         self._row = np.zeros(1, avr_clock_and_pins.BUS)
         b = self._row[0]
@@ -82,7 +82,7 @@ class AvrBus:
         b.first = min(place.first for place in board.places) if pins.base is None else pins.base
         b.levels, b.outputs, b.was_write = self._levels.ctypes.data, self._outputs.ctypes.data, 1
         used = sorted({pins.data, *(p[0] for p in (pins.cs, pins.wr, pins.rd, *pins.address) if p)})
-        self._ports = np.array([(self._row.ctypes.data, port) for port in used], avr_clock_and_pins.PORT)
+        self._ports = np.array([(self._row.ctypes.data, port) for port in used], avr_clock_and_pins.BUS_PORT)
         self._functions = (
             avr_clock_and_pins.store_port_levels.pointer,
             avr_clock_and_pins.store_port_directions.pointer,
@@ -96,7 +96,7 @@ def parse_bus_pins(texts: str | Sequence[str]) -> BusPins:
     """Parse the description of the pins that form an AVR's bus.
 
     Args:
-        texts: One description in the form of this module's docstring, for example FORM.
+        texts: One description in the form of this module's docstring, for example BUS_PINS_EXAMPLE.
 
     Raises:
         ArgumentError: The text has another form, or uses a pin twice.
@@ -104,20 +104,21 @@ def parse_bus_pins(texts: str | Sequence[str]) -> BusPins:
     texts = [texts] if isinstance(texts, str) else list(texts)
     if len(texts) != 1:
         raise ArgumentError(
-            f"--map: an AVR's bus is its pins; say once which: --map {FORM} (given: {', '.join(texts) or 'none'}). STEP/DIR axes "
+            f"--map: an AVR's bus is its pins; say once which: --map {BUS_PINS_EXAMPLE} (given: "
+            f"{', '.join(texts) or 'none'}). STEP/DIR axes "
             "have no bus: --pins grbl, for example."
         )
     text = texts[0]
     parts = _split_description(text)
-    if parts["data"] not in PORTS or len(parts["data"]) != 1:
-        raise ArgumentError(f"--map {text!r}: data={parts['data']} is no port; ports are {', '.join(PORTS)}.")
+    if parts["data"] not in PORT_LETTERS or len(parts["data"]) != 1:
+        raise ArgumentError(f"--map {text!r}: data={parts['data']} is no port; ports are {', '.join(PORT_LETTERS)}.")
     single = {key: _parse_pin(text, key, parts[key]) for key in ("cs", "wr", "rd", "irq") if key in parts}
-    address = _parse_address(text, parts["address"]) if "address" in parts else ()
-    data = PORTS.index(parts["data"])
+    address = _parse_address_pins(text, parts["address"]) if "address" in parts else ()
+    data = PORT_LETTERS.index(parts["data"])
     used: set[Pin] = set()
     for pin in (*address, *single.values(), *((data, k) for k in range(8))):
         if pin in used:
-            raise ArgumentError(f"--map {text!r}: pin {PORTS[pin[0]]}{pin[1]} is used twice.")
+            raise ArgumentError(f"--map {text!r}: pin {PORT_LETTERS[pin[0]]}{pin[1]} is used twice.")
         used.add(pin)
     try:
         base = int(parts["base"], 0) if "base" in parts else None
@@ -131,14 +132,16 @@ def _split_description(text: str) -> dict[str, str]:
     parts: dict[str, str] = {}
     for part in text.split(","):
         key, equals, value = part.strip().partition("=")
-        if key not in KEYS:
-            raise ArgumentError(f"--map {text!r}: write {FORM}. {unknown_name_error('part', key, KEYS)}")
+        if key not in BUS_PIN_KEYS:
+            raise ArgumentError(
+                f"--map {text!r}: write {BUS_PINS_EXAMPLE}. {unknown_name_error('part', key, BUS_PIN_KEYS)}"
+            )
         if not equals or key in parts:
             raise ArgumentError(f"--map {text!r}: {key} is given {'twice' if key in parts else 'without a value'}.")
         parts[key] = value.strip().upper()
     for key in ("data", "wr", "rd"):
         if key not in parts:
-            raise ArgumentError(f"--map {text!r}: it has no {key}=; write {FORM}.")
+            raise ArgumentError(f"--map {text!r}: it has no {key}=; write {BUS_PINS_EXAMPLE}.")
     return parts
 
 
@@ -147,10 +150,10 @@ def _parse_pin(text: str, key: str, value: str) -> Pin:
     match = _PIN_PATTERN.fullmatch(value)
     if match is None:
         raise ArgumentError(f"--map {text!r}: {key}={value} is no pin, for example {key}=B0.")
-    return PORTS.index(match[1]), int(match[2])
+    return PORT_LETTERS.index(match[1]), int(match[2])
 
 
-def _parse_address(text: str, value: str) -> tuple[Pin, ...]:
+def _parse_address_pins(text: str, value: str) -> tuple[Pin, ...]:
     """Return the address pins, lowest first, in a value such as C:0-1+D4; `text` is for the error message."""
     pins: list[Pin] = []
     for part in value.split("+"):
@@ -161,5 +164,5 @@ def _parse_address(text: str, value: str) -> tuple[Pin, ...]:
         low, high = int(match[2]), int(match[3])
         if low > high:
             raise ArgumentError(f"--map {text!r}: address={part} runs backwards; the lowest pin comes first.")
-        pins += [(PORTS.index(match[1]), k) for k in range(low, high + 1)]
+        pins += [(PORT_LETTERS.index(match[1]), k) for k in range(low, high + 1)]
     return tuple(pins)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board.bus.host_record import HOST, IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES, UNTIL
+from stage.board.bus.host_record import ADVANCE_TO_TIME, HOST, IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES
 from stage.native import array_at, declare_address_call, exported, hot, record
 from stage.sim.compiled_stage_access import INTEGER
 from stage.targets.processor_clock_and_bus_cycles import (
@@ -20,9 +20,9 @@ from stage.targets.processor_clock_and_bus_cycles import (
 )
 
 NO_PIN = -1
-PORTS = "ABCDEFGHJKL"
+PORT_LETTERS = "ABCDEFGHJKL"
 PIN = record([("port", "i8"), ("bit", "i8")])
-"""A pin: the number of its port in PORTS, or NO_PIN; its bit."""
+"""A pin: the number of its port in PORT_LETTERS, or NO_PIN; its bit."""
 AVR = record(
     PROCESSOR_FIELDS
     + [(name, "i8") for name in "own avr run status raise_irq read_memory timer when quantum pc stop line_irq".split()]
@@ -49,7 +49,7 @@ BUS = record(
     levels, outputs  of each port: the levels that the program drives, and which pins are outputs
     conflicts        how often the data port was an output in a read cycle; warning: the text about the first
 """
-PORT = record([("bus", "i8"), ("port", "i8")])
+BUS_PORT = record([("bus", "i8"), ("port", "i8")])
 """The port of a bus that a call of simavr is about."""
 DRIVEN_LINE = record([(name, "i8") for name in "bit chip mask inverted released last".split()])
 """A line of an axis that the program drives: the bit of its pin; the number of its chip and the chip's input pins (bits); whether
@@ -66,21 +66,21 @@ READ_LINE = record([(name, "i8") for name in "irq port bit chip mask inverted le
 inversion as in DRIVEN_LINE; the level of the pin; whether the next line is at another pin."""
 PULLED_PORT = record([(name, "i8") for name in "pulls request".split()])
 """A port with read lines: simavr's avr_ioport_external_t, and the request that sets it."""
-PULL_VALUE = 15
+PULL_LEVELS_SHIFT = 15
 """Position of the levels in avr_ioport_external_t; seven bits of a name and eight of a mask are in front of them."""
 LINES = record([(name, "i8") for name in "ports n_ports read n_read ioctl has_chip_outputs reached".split()])
 """Lines at the pins of an AVR: LINE_PORT and READ_LINE records; the address of avr_ioctl; whether one of them is an output of a
 chip, not of a switch; the stage's time (ns) when the lines were last read."""
 NEVER = -1
 STATE, WAIT = np.dtype("u4"), np.dtype("i1")
-ONE_MORE = -1
+SEI_INTERRUPT_WAIT = -1
 """Of interrupt_wait: after SEI and two instructions interrupts are served; 1: one waits."""
 SLEEPING, DONE = 3, 6
 """cpu_Sleeping, cpu_Done, and above: crashed."""
-NOTHING_WAKES = 2
+NO_RESUMING_INTERRUPT = 2
 _run, _raise_irq = declare_address_call("i4", "i8"), declare_address_call(None, "i8", "i4")
 _is_enabled, _ioctl = declare_address_call("i4", "i8", "i8"), declare_address_call("i4", "i8", "i4", "i8")
-_has_pending = declare_address_call("i4", "i8")
+_has_pending_interrupts = declare_address_call("i4", "i8")
 _get_timer_status, _read_memory = declare_address_call("i8", "i8", "i8", "i8"), declare_address_call("i4", "i8", "i4")
 
 
@@ -96,7 +96,10 @@ def _read_pin_level(bus, at):
     pin = array_at(at, 1, PIN)[0]
     if pin.port == NO_PIN:
         return 0
-    levels, outputs = array_at(bus.levels, len(PORTS), INTEGER), array_at(bus.outputs, len(PORTS), INTEGER)
+    levels, outputs = (
+        array_at(bus.levels, len(PORT_LETTERS), INTEGER),
+        array_at(bus.outputs, len(PORT_LETTERS), INTEGER),
+    )
     return (levels[pin.port] | ~outputs[pin.port]) >> pin.bit & 1
 
 
@@ -104,7 +107,7 @@ def _read_pin_level(bus, at):
 def _read_port_address(bus):
     """Return the number of the board's port that the AVR's address pins select."""
     pins, address = array_at(bus.addresses, bus.n_addresses, PIN), 0
-    levels = array_at(bus.levels, len(PORTS), INTEGER)
+    levels = array_at(bus.levels, len(PORT_LETTERS), INTEGER)
     for k in range(bus.n_addresses):
         address |= (levels[pins[k].port] >> pins[k].bit & 1) << k
     return bus.first + address
@@ -120,7 +123,7 @@ def _update_bus(bus):
         _read_pin_level(bus, bus.read),
     )
     if write and not bus.was_write and (selected or bus.was_selected):
-        value = array_at(bus.levels, len(PORTS), INTEGER)[bus.data_port]
+        value = array_at(bus.levels, len(PORT_LETTERS), INTEGER)[bus.data_port]
         make_bus_cycle(cpu, get_cycle_count(cpu), OUT8, _read_port_address(bus), value & 0xFF)
     bus.was_selected, bus.was_write = selected, write
     if read or not selected:
@@ -128,7 +131,7 @@ def _update_bus(bus):
     elif not bus.reading:
         bus.reading = 1
         value = make_bus_cycle(cpu, get_cycle_count(cpu), IN8, _read_port_address(bus), 0)
-        if array_at(bus.outputs, len(PORTS), INTEGER)[bus.data_port]:
+        if array_at(bus.outputs, len(PORT_LETTERS), INTEGER)[bus.data_port]:
             if bus.conflicts == 0:
                 request(cpu, LOG, bus.warning, 0)
             bus.conflicts += 1
@@ -137,19 +140,19 @@ def _update_bus(bus):
             _raise_irq(cpu.raise_irq, (irqs[k], value >> k & 1))
 
 
-@exported(None, "i8", "i4", PORT)
+@exported(None, "i8", "i4", BUS_PORT)
 def store_port_levels(_irq, value, port):
     """Store the levels that the program drives at a port, and update the bus. simavr calls this at each change."""
     bus = array_at(port.bus, 1, BUS)[0]
-    array_at(bus.levels, len(PORTS), INTEGER)[port.port] = value
+    array_at(bus.levels, len(PORT_LETTERS), INTEGER)[port.port] = value
     _update_bus(bus)
 
 
-@exported(None, "i8", "i4", PORT)
+@exported(None, "i8", "i4", BUS_PORT)
 def store_port_directions(_irq, value, port):
     """Store which pins of a port are outputs, and update the bus. simavr calls this at each change."""
     bus = array_at(port.bus, 1, BUS)[0]
-    array_at(bus.outputs, len(PORTS), INTEGER)[port.port] = value
+    array_at(bus.outputs, len(PORT_LETTERS), INTEGER)[port.port] = value
     _update_bus(bus)
 
 
@@ -167,13 +170,13 @@ def _drive_lines(port, changed):
                 asserted |= line.mask
         if mask and line.last:  # together, because the direction counts before a step at the same cycle
             cpu = array_at(port.avr, 1, AVR)[0]
-            request(cpu, UNTIL, compute_time(cpu, get_cycle_count(cpu)), 0)
+            request(cpu, ADVANCE_TO_TIME, compute_time(cpu, get_cycle_count(cpu)), 0)
             request(cpu, SET_LINES, line.chip, mask << LINES_SHIFT | asserted)
             mask = asserted = 0
 
 
 @hot
-def _count_pins(counts, pins):
+def _increment_edge_counts(counts, pins):
     """Increase by one the count of each of these AVR pins (bits)."""
     bit = 0
     while pins >> bit:
@@ -182,7 +185,7 @@ def _count_pins(counts, pins):
 
 
 @hot
-def _clear_counts(counts, pins):
+def _clear_edge_counts(counts, pins):
     """Set the edge counts of these AVR pins (bits) to 0."""
     for bit in range(8):
         if pins >> bit & 1:
@@ -193,8 +196,8 @@ def _clear_counts(counts, pins):
 def drive_line_levels(_irq, value, port):
     """Store a new value of the PORT register of a port with lines, and drive its lines. simavr calls this at each change."""
     changed, port.levels = (value & 0xFF) ^ port.levels, value & 0xFF
-    _count_pins(port.rises, changed & port.levels & port.outputs)
-    _count_pins(port.pull_ups, changed & port.levels & ~port.outputs)
+    _increment_edge_counts(port.rises, changed & port.levels & port.outputs)
+    _increment_edge_counts(port.pull_ups, changed & port.levels & ~port.outputs)
     _drive_lines(port, changed)
 
 
@@ -202,8 +205,8 @@ def drive_line_levels(_irq, value, port):
 def drive_line_directions(_irq, value, port):
     """Store new directions of the pins of a port with lines, and drive its lines. simavr calls this at each change."""
     changed, port.outputs = (value & 0xFF) ^ port.outputs, value & 0xFF
-    _count_pins(port.rises, changed & port.levels & port.outputs)
-    _clear_counts(port.pull_ups, changed & port.outputs)
+    _increment_edge_counts(port.rises, changed & port.levels & port.outputs)
+    _clear_edge_counts(port.pull_ups, changed & port.outputs)
     _drive_lines(port, changed)
 
 
@@ -229,7 +232,7 @@ def _update_read_lines(cpu):
             if level != row.level:
                 row.level = level
                 port = array_at(row.port, 1, PULLED_PORT)[0]
-                port.pulls ^= 1 << (PULL_VALUE + row.bit)
+                port.pulls ^= 1 << (PULL_LEVELS_SHIFT + row.bit)
                 _ioctl(lines.ioctl, (cpu.avr, port.request, row.port))
                 _raise_irq(cpu.raise_irq, (row.irq, level))
 
@@ -249,13 +252,13 @@ def _initialize_lines(cpu):
 
 
 @hot
-def _check_sleep(cpu):
+def _check_resuming_interrupt(cpu):
     """Return 1 if an interrupt can wake the sleeping processor, otherwise NOTHING_WAKES."""
     vectors = array_at(cpu.vectors, cpu.n_vectors, INTEGER)
     for k in range(cpu.n_vectors):
         if _is_enabled(cpu.is_enabled, (cpu.avr, vectors[k])):
             return 1
-    return NOTHING_WAKES if cpu.n_vectors else 1
+    return NO_RESUMING_INTERRUPT if cpu.n_vectors else 1
 
 
 @exported("i8", "i8", "i8", AVR)
@@ -281,7 +284,7 @@ def end_quantum(_avr, when, cpu):
     if array_at(cpu.state, 1, STATE)[0] != SLEEPING:
         cpu.asleep = 0
     elif cpu.asleep == 0:
-        cpu.asleep = _check_sleep(cpu)
+        cpu.asleep = _check_resuming_interrupt(cpu)
         cpu.ended |= cpu.asleep >> 1
     return cpu.when
 
@@ -297,8 +300,8 @@ def run(cpu):
     while not cpu.ended:
         state = _run(cpu.run, (cpu.avr,))
         wait = array_at(cpu.interrupt_wait, 1, WAIT)
-        if wait[0] == ONE_MORE:
-            wait[0] = 1 if _has_pending(cpu.has_pending, (cpu.avr,)) else 0
+        if wait[0] == SEI_INTERRUPT_WAIT:
+            wait[0] = 1 if _has_pending_interrupts(cpu.has_pending, (cpu.avr,)) else 0
         if state >= DONE:
             return state
     return DONE

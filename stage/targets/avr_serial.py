@@ -10,16 +10,16 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus.host_record import HOST, LOG, READ_SERIAL, SEND_SERIAL, TAKE
-from stage.board.bus.serial_core import LINE, LINES, SECOND
+from stage.board.bus.serial_core import SECOND, SERIAL_LINE, SERIAL_LINE_COUNT
 from stage.native import array_at, declare_address_call, exported, greatest, hot, record
 from stage.sim.compiled_stage_access import INTEGER
 from stage.targets.avr_clock_and_pins import AVR, get_cycle_count
 from stage.targets.processor_clock_and_bus_cycles import advance_board, request
 
-QUEUE = 64
-IDLE_FACTOR = 20
+SEND_QUEUE_BYTES = 64
+IDLE_POLL_FACTOR = 20
 """Ratio of the times between two looks at a line without another end and at one that has it."""
-DEPTH = 64
+RECEIVER_BYTES = 64
 """Bytes that a receiver holds, as simavr's does; that of the chip holds three. With three, programs would lose bytes that a chip
 does not lose, since simavr's transmitter has no buffer beside its shift register and is slower."""
 UART = record(
@@ -29,7 +29,7 @@ UART = record(
         for name in "byte_cycles_at rxen u2x usbs ucsz ucsz2 ubrrl ubrrh upm idle receiving done queued first".split()
     ]
     + [(name, "i8") for name in "presented waiting oldest overruns warning".split()]
-    + [("queue", "u1", (QUEUE,)), ("ends", "i8", (QUEUE,)), ("received", "u1", (DEPTH,))]
+    + [("queue", "u1", (SEND_QUEUE_BYTES,)), ("ends", "i8", (SEND_QUEUE_BYTES,)), ("received", "u1", (RECEIVER_BYTES,))]
 )
 """avr, address       its AVR, and the address of this record
     text, room, length  the text since its last line end; the size of the buffer, the bytes in it
@@ -47,7 +47,7 @@ UART = record(
     queue, ends        the bytes that are being sent, and the cycles at which they have left
     received           the `waiting` bytes of the receiver behind the one that is presented, from place `oldest` on
 """
-BYTE = np.dtype("u1")
+BYTE_TYPE = np.dtype("u1")
 LINE_END, CARRIAGE_RETURN = 10, 13
 _register_timer = declare_address_call(None, "i8", "i8", "i8", "i8")
 _raise_irq, _read_memory = declare_address_call(None, "i8", "i4"), declare_address_call("i4", "i8", "i4")
@@ -74,7 +74,7 @@ def _count_character_cycles(cpu, uart):
 @hot
 def _get_serial_line(cpu, uart):
     """Return the board's serial line of a UART."""
-    return array_at(array_at(cpu.host, 1, HOST)[0].serial, LINES, LINE)[uart.line]
+    return array_at(array_at(cpu.host, 1, HOST)[0].serial, SERIAL_LINE_COUNT, SERIAL_LINE)[uart.line]
 
 
 @exported(None, "i8", "i4", UART)
@@ -87,11 +87,11 @@ def handle_sent_byte(_irq, value, uart):
         return
     duration = _count_character_cycles(cpu, uart)
     array_at(uart.byte_cycles_at, 1, INTEGER)[0] = duration  # simavr counts a parity bit that is not there
-    if uart.connected and uart.queued < QUEUE:
+    if uart.connected and uart.queued < SEND_QUEUE_BYTES:
         now = get_cycle_count(cpu)
         _get_serial_line(cpu, uart).sent_byte_ns = duration * SECOND // cpu.hz
         uart.done = greatest(uart.done, now) + duration
-        place = (uart.first + uart.queued) % QUEUE
+        place = (uart.first + uart.queued) % SEND_QUEUE_BYTES
         uart.queue[place], uart.ends[place] = value, uart.done
         uart.queued += 1
         if uart.queued == 1:
@@ -101,7 +101,7 @@ def handle_sent_byte(_irq, value, uart):
 @hot
 def _log_byte(cpu, uart, value):
     """Add a byte to the line of text for the log, and log the line if it is complete."""
-    text = array_at(uart.text, uart.room, BYTE)
+    text = array_at(uart.text, uart.room, BYTE_TYPE)
     if value != LINE_END and value != CARRIAGE_RETURN:
         text[uart.length] = value
         uart.length += 1
@@ -129,7 +129,7 @@ def deliver_sent_byte(_avr, when, uart):
 def _send_oldest_byte(cpu, uart):
     """Pass the oldest byte of the AVR's send queue to the board."""
     byte = uart.queue[uart.first]
-    uart.first, uart.queued = (uart.first + 1) % QUEUE, uart.queued - 1
+    uart.first, uart.queued = (uart.first + 1) % SEND_QUEUE_BYTES, uart.queued - 1
     request(cpu, SEND_SERIAL, byte, uart.line)
 
 
@@ -156,8 +156,8 @@ def _store_byte(cpu, uart, byte):
     """Store a received byte in the receiver of the AVR's UART. A byte that finds the receiver full is lost."""
     if not uart.presented:
         _present_byte(cpu, uart, byte)
-    elif uart.waiting < DEPTH - 1:
-        uart.received[(uart.oldest + uart.waiting) % DEPTH] = byte
+    elif uart.waiting < RECEIVER_BYTES - 1:
+        uart.received[(uart.oldest + uart.waiting) % RECEIVER_BYTES] = byte
         uart.waiting += 1
     else:
         if uart.overruns == 0:
@@ -173,7 +173,7 @@ def handle_read_byte(_irq, _value, uart):
     uart.presented = 0
     if uart.waiting:
         byte = uart.received[uart.oldest]
-        uart.oldest, uart.waiting = (uart.oldest + 1) % DEPTH, uart.waiting - 1
+        uart.oldest, uart.waiting = (uart.oldest + 1) % RECEIVER_BYTES, uart.waiting - 1
         _present_byte(array_at(uart.avr, 1, AVR)[0], uart, byte)
 
 
@@ -188,7 +188,7 @@ def receive_byte(_avr, when, uart):
     line = _get_serial_line(cpu, uart)
     if line.fed <= line.removed:
         uart.receiving = 0
-        return when + (uart.idle if line.is_open else IDLE_FACTOR * uart.idle)
+        return when + (uart.idle if line.is_open else IDLE_POLL_FACTOR * uart.idle)
     is_on = _read_bits(cpu, uart.rxen)
     if not is_on:
         uart.presented = uart.waiting = 0  # simavr has cleared its buffer, too

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.pin_assignment import DRIVEN, PinLine, PinUse, WiringFinding, find_wiring_findings
+from stage.board.pin_assignment import DRIVEN_LINE_PINS, PinLine, PinUse, WiringFinding, find_wiring_findings
 from stage.chips.stepdir.line_names import POWER_STAGE_OUTPUTS
 from stage.errors import ArgumentError
 from stage.targets import avr_clock_and_pins
 from stage.targets.avr_bus_wiring import DIRECTION_ALL, encode_ioctl_request
 
-PORT_REGISTER = 10
+PORT_REGISTER_IRQ = 10
 """The simavr IRQ of a port's PORT register."""
-_PIN = re.compile(r"([A-HJ-L])([0-7])")
-_PULL_MASK = 7
+_PIN_PATTERN = re.compile(r"([A-HJ-L])([0-7])")
+_PULL_MASK_SHIFT = 7
 """Position of the mask in avr_ioport_external_t."""
-PULLED_UP = ("enable",)
+PULLED_UP_LINES = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
 MISSING_PINS = {
     "atmega8 atmega48 atmega168 atmega328": "C7",
@@ -29,7 +29,7 @@ MISSING_PINS = {
     "atmega32u4": "C0 C1 C2 C3 C4 C5 E0 E1 E3 E4 E5 E7 F2 F3",
 }
 """Pins of ports that a family, named by how its names begin, has only in part. simavr has the whole ports."""
-PlacedLine = tuple[int, int, PinLine]
+LineAtPin = tuple[int, int, PinLine]
 """A line, behind the port and the bit of its pin."""
 
 
@@ -51,8 +51,8 @@ class AvrLines:
         for port, bit, line in places:
             _check_pin_of_line(line, avr.has_port(port), (port, bit) in avr.bus_pins, avr.mcu)
         self._places, self._bus_pins = places, avr.bus_pins
-        self._connect_driven_lines(sorted(place for place in places if place[2].line in DRIVEN), avr)
-        self._connect_read_lines(sorted(place for place in places if place[2].line not in DRIVEN), avr)
+        self._connect_driven_lines(sorted(place for place in places if place[2].line in DRIVEN_LINE_PINS), avr)
+        self._connect_read_lines(sorted(place for place in places if place[2].line not in DRIVEN_LINE_PINS), avr)
         tables = (value for table in (self._ports, self._read) for value in (table.ctypes.data, len(table)))
         has_chip_outputs = any(line.line in POWER_STAGE_OUTPUTS for line in lines)
         self._row = np.array(
@@ -71,11 +71,11 @@ class AvrLines:
         uses = [
             PinUse(line, int(ports[port]["rises"][bit]), int(ports[port]["pull_ups"][bit]))
             for port, bit, line in self._places
-            if line.line in DRIVEN
+            if line.line in DRIVEN_LINE_PINS
         ]
         used = {(port, bit) for port, bit, _ in self._places} | self._bus_pins
         others = {
-            f"{avr_clock_and_pins.PORTS[port]}{bit}": int(row["rises"][bit])
+            f"{avr_clock_and_pins.PORT_LETTERS[port]}{bit}": int(row["rises"][bit])
             for port, row in ports.items()
             for bit in np.flatnonzero(row["rises"]).tolist()
             if (port, bit) not in used
@@ -88,19 +88,19 @@ class AvrLines:
                 "drive. Make its edges in CTC mode or by the program.",
             )
             for port, bit, line in self._places
-            if line.line in DRIVEN and (port, bit) in pwm_outputs and ports[port]["rises"][bit] <= 1
+            if line.line in DRIVEN_LINE_PINS and (port, bit) in pwm_outputs and ports[port]["rises"][bit] <= 1
         )
         explained = {"", *(finding.axis for finding in pwm)} if pwm else set()
         return pwm + tuple(finding for finding in findings if finding.axis not in explained)
 
-    def _find_chip(self, line: PinLine) -> tuple[int, int]:
+    def _find_chip_and_mask(self, line: PinLine) -> tuple[int, int]:
         """Return the number of a line's chip, and the bits of the chip's input pins."""
         chip = self._axes[line.axis].chip
         return self._chips.index(chip), line.get_mask(chip)
 
-    def _connect_driven_lines(self, places: Sequence[PlacedLine], avr: Any) -> None:
+    def _connect_driven_lines(self, places: Sequence[LineAtPin], avr: Any) -> None:
         """Watch the pins of all ports, because pins without a line help to find a wrong wiring; see `find_wiring_problems`."""
-        self._port_numbers = [port for port in range(len(avr_clock_and_pins.PORTS)) if avr.has_port(port)]
+        self._port_numbers = [port for port in range(len(avr_clock_and_pins.PORT_LETTERS)) if avr.has_port(port)]
         self._driven = [self._make_driven_rows([p for p in places if p[0] == port]) for port in self._port_numbers]
         self._ports = np.zeros(len(self._driven), avr_clock_and_pins.LINE_PORT)
         self._functions = (
@@ -110,15 +110,15 @@ class AvrLines:
         for k, (port, rows) in enumerate(zip(self._port_numbers, self._driven, strict=True)):
             row = self._ports[k]
             row["avr"], row["lines"], row["n_lines"] = avr.record.own, rows.ctypes.data, len(rows)
-            for number, function in zip((PORT_REGISTER, DIRECTION_ALL), self._functions, strict=True):
+            for number, function in zip((PORT_REGISTER_IRQ, DIRECTION_ALL), self._functions, strict=True):
                 avr.register_callback(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
-    def _make_driven_rows(self, places: Sequence[PlacedLine]) -> np.ndarray:
+    def _make_driven_rows(self, places: Sequence[LineAtPin]) -> np.ndarray:
         """Return the records (DRIVEN_LINE) of the lines that the pins of a port drive, grouped by chip."""
         rows = []
         for _, bit, line in places:
-            chip, mask = self._find_chip(line)
-            rows.append((chip, bit, mask, line.inverted, mask if line.line in PULLED_UP else 0))
+            chip, mask = self._find_chip_and_mask(line)
+            rows.append((chip, bit, mask, line.inverted, mask if line.line in PULLED_UP_LINES else 0))
         rows.sort()
         ends = [*(rows[k][0] != rows[k + 1][0] for k in range(len(rows) - 1)), True][: len(rows)]
         return np.array(
@@ -126,7 +126,7 @@ class AvrLines:
             avr_clock_and_pins.DRIVEN_LINE,
         )
 
-    def _connect_read_lines(self, places: Sequence[PlacedLine], avr: Any) -> None:
+    def _connect_read_lines(self, places: Sequence[LineAtPin], avr: Any) -> None:
         """Connect the lines that the program reads, such as switches, to their pins."""
         ports = sorted({port for port, _, _ in places})
         self._pulled = np.zeros(len(ports), avr_clock_and_pins.PULLED_PORT)
@@ -135,10 +135,10 @@ class AvrLines:
         for k, (port, bit, line) in enumerate(places):
             last = k + 1 == len(places) or places[k + 1][:2] != (port, bit)
             place, inverted = (avr.find_irq(port, bit), addresses[port], bit), line.inverted
-            self._read[k] = (*place, *self._find_chip(line), inverted, inverted, last)
+            self._read[k] = (*place, *self._find_chip_and_mask(line), inverted, inverted, last)
             pulled = self._pulled[ports.index(port)]
-            pulled["request"] = encode_ioctl_request("iop" + avr_clock_and_pins.PORTS[port])
-            pulled["pulls"] |= 1 << (_PULL_MASK + bit) | inverted << (avr_clock_and_pins.PULL_VALUE + bit)
+            pulled["request"] = encode_ioctl_request("iop" + avr_clock_and_pins.PORT_LETTERS[port])
+            pulled["pulls"] |= 1 << (_PULL_MASK_SHIFT + bit) | inverted << (avr_clock_and_pins.PULL_LEVELS_SHIFT + bit)
         for port, pulled in zip(ports, self._pulled, strict=True):
             avr.call_avr_ioctl(int(pulled["request"]), addresses[port])
         for row in self._read:
@@ -151,13 +151,13 @@ def parse_avr_pin(line: PinLine, mcu: str) -> tuple[int, int]:
     Raises:
         ArgumentError: The pin is not one of an AVR, or this AVR does not have it.
     """
-    match = _PIN.fullmatch(line.pin)
+    match = _PIN_PATTERN.fullmatch(line.pin)
     if match is None:
         raise ArgumentError(f"--pins {line}: {line.pin} is no pin of an AVR; pins are B0, D5 ...")
     for families, pins in MISSING_PINS.items():
         if mcu.startswith(tuple(families.split())) and line.pin in pins.split():
             raise ArgumentError(f"--pins {line}: the {mcu} has no pin {line.pin}; port {match[1]} has others.")
-    return avr_clock_and_pins.PORTS.index(match[1]), int(match[2])
+    return avr_clock_and_pins.PORT_LETTERS.index(match[1]), int(match[2])
 
 
 def _check_pin_of_line(line: PinLine, has_port: bool, is_of_bus: bool, mcu: str) -> None:

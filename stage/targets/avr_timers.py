@@ -19,7 +19,7 @@ import numpy as np
 from stage.native import array_at, declare_address_call, exported, greatest, hot, record
 from stage.sim.compiled_stage_access import INTEGER
 
-SIMAVR = record(
+SIMAVR_ACCESS = record(
     [(name, "i8") for name in "avr cycle cycles_left response memory flash pc vectors n_vectors event".split()]
     + [
         (name, "i8")
@@ -41,7 +41,7 @@ VECTOR = record([(name, "i8") for name in "timer vector pending enable enable_ma
     pending            address of the byte whose bit 0 says that simavr will serve it
     enable, flag       registers with its enable bit and its flag, and the bits
 """
-UNIT = record([(name, "i8") for name in "register high value matches vector mode pin irq pwm_mode".split()])
+COMPARE_UNIT = record([(name, "i8") for name in "register high value matches vector mode pin irq pwm_mode".split()])
 """register, high     address of OCR, low and high byte; 0: there is none
     value, matches     what the counter is compared with, and how often it matched on the way to the present tick
     vector             address of its VECTOR
@@ -51,18 +51,23 @@ UNIT = record([(name, "i8") for name in "register high value matches vector mode
 """
 N_UNITS, CAPTURE = 4, 3
 """Compare units A, B, C; ICR, which is one where it is the TOP value."""
-WIDTHS = 4  # register bits that select the mode, and those that select the clock
+SELECT_BIT_COUNT = 4  # register bits that select the mode, and those that select the clock
 TIMER = record(
     [(name, "i8") for name in "own simavr units overflow capture originals n_originals read read_parameter".split()]
     + [(name, "i8") for name in "count_low count_high strobes strobe_mask temp capture_irq capture_edge".split()]
     + [(name, "i8") for name in "count tick shift runs top maximum is_blocked is_simavrs is_top_icr due".split()]
-    + [("asynchronous", "i8"), ("has_external_clock", "i8"), ("modes", "i8", (WIDTHS,)), ("clocks", "i8", (WIDTHS,))]
+    + [
+        ("asynchronous", "i8"),
+        ("has_external_clock", "i8"),
+        ("modes", "i8", (SELECT_BIT_COUNT,)),
+        ("clocks", "i8", (SELECT_BIT_COUNT,)),
+    ]
     + [("kinds", "i8", (16,)), ("tops", "i8", (16,)), ("shifts", "i8", (16,))]
 )
-"""own, simavr        its own address, and that of the SIMAVR record
-    units              address of N_UNITS UNIT records
+"""own, simavr        its own address, and that of the SIMAVR_ACCESS record
+    units              address of N_UNITS COMPARE_UNIT records
     overflow, capture  addresses of VECTOR records
-    originals          address of n_originals ORIGINAL records: simavr's functions for its registers
+    originals          address of n_originals ORIGINAL_HANDLER records: simavr's functions for its registers
     read               simavr's function that reads the count, with its parameter
     count_low ...      addresses of registers; strobes: the one with FOC bits, or 0; strobe_mask: its FOC bits,
                        bit 7 that of unit A
@@ -75,17 +80,17 @@ TIMER = record(
     is_simavrs         the mode or the clock is one that simavr emulates
     due                cycle of the event that simavr has, or 0
     asynchronous ...   register bits of AS2, of the mode and of the clock
-    kinds, tops        by the number of the mode; shifts: by the number of the clock, or EXTERNAL
+    kinds, tops        by the number of the mode; shifts: by the number of the clock, or EXTERNAL_CLOCK
 """
-ORIGINAL = record([("register", "i8"), ("function", "i8"), ("parameter", "i8")])
+ORIGINAL_HANDLER = record([("register", "i8"), ("function", "i8"), ("parameter", "i8")])
 RESERVED, NORMAL, CTC = 0, 1, 2
 TOP_ICR = 2
-EXTERNAL = 0x80
+EXTERNAL_CLOCK = 0x80
 TOGGLE, SET = 1, 3
-IRQ_LEVEL = 20  # where an avr_irq_t has its level, before the functions that it notifies return
-OUTPUT = 0x100  # a simavr IRQ that drives its pin
+IRQ_LEVEL_OFFSET = 20  # where an avr_irq_t has its level, before the functions that it notifies return
+OUTPUT_IRQ_FLAG = 0x100  # a simavr IRQ that drives its pin
 BYTE, WORD = np.dtype("u1"), np.dtype("u4")
-DATA_SIZE = 1 << 16
+DATA_MEMORY_BYTES = 1 << 16
 _write_register, _read_register = (
     declare_address_call(None, "i8", "i4", "i4", "i8"),
     declare_address_call("i4", "i8", "i4", "i8"),
@@ -100,8 +105,8 @@ _register_event, _cancel_event = (
 
 @hot
 def _get_simavr(timer):
-    """Return the SIMAVR record of a timer."""
-    return array_at(timer.simavr, 1, SIMAVR)[0]
+    """Return the SIMAVR_ACCESS record of a timer."""
+    return array_at(timer.simavr, 1, SIMAVR_ACCESS)[0]
 
 
 @hot
@@ -121,13 +126,13 @@ def _get_access_cycle(simavr):
 @hot
 def read_register_byte(simavr, register):
     """Return the byte of a register as it is in simavr's memory, without side effects."""
-    return np.int64(array_at(simavr.memory, DATA_SIZE, BYTE)[register])
+    return np.int64(array_at(simavr.memory, DATA_MEMORY_BYTES, BYTE)[register])
 
 
 @hot
 def write_register_byte(simavr, register, value):
     """Change the byte of a register in simavr's memory, without side effects."""
-    array_at(simavr.memory, DATA_SIZE, BYTE)[register] = value & 0xFF
+    array_at(simavr.memory, DATA_MEMORY_BYTES, BYTE)[register] = value & 0xFF
 
 
 @hot
@@ -142,7 +147,7 @@ def read_bits(simavr, bits):
 def _read_selected_number(simavr, selection):
     """Return the number that several register bits form, the lowest first, for example the mode of a timer."""
     number = np.int64(0)
-    for k in range(WIDTHS):
+    for k in range(SELECT_BIT_COUNT):
         number |= read_bits(simavr, selection[k]) << k
     return number
 
@@ -206,7 +211,7 @@ def _drive_output(simavr, unit, matches):
     mode = read_bits(simavr, unit.mode)
     if mode == 0:
         return
-    output = OUTPUT if unit.pin else 0
+    output = OUTPUT_IRQ_FLAG if unit.pin else 0
     if mode != TOGGLE:
         _raise_irq(simavr.raise_irq, (unit.irq, output | (1 if mode == SET else 0)))
     elif matches & 1:
@@ -231,7 +236,7 @@ def _update_timer(timer, cycle):
     ticks = tick - timer.tick
     if ticks <= 0:
         return
-    units = array_at(timer.units, N_UNITS, UNIT)
+    units = array_at(timer.units, N_UNITS, COMPARE_UNIT)
     for k in range(N_UNITS):
         exists = timer.is_top_icr if k == CAPTURE else units[k].register
         units[k].matches = _count_matches(timer, units[k].value, 1, ticks) if exists else 0
@@ -258,7 +263,7 @@ def _can_change_flag(simavr, address):
 @hot
 def _find_ticks_until_next_event(timer, simavr):
     """Return the ticks until the next change of a flag or an output, or 0 if there is none."""
-    units, best = array_at(timer.units, N_UNITS, UNIT), 0
+    units, best = array_at(timer.units, N_UNITS, COMPARE_UNIT), 0
     for k in range(N_UNITS):
         unit = units[k]
         exists = timer.is_top_icr if k == CAPTURE else unit.register
@@ -305,7 +310,7 @@ def handle_timer_event(_avr, when, timer):
 @hot
 def _call_original(timer, simavr, register, value):
     """Write a register by simavr's own function."""
-    originals = array_at(timer.originals, timer.n_originals, ORIGINAL)
+    originals = array_at(timer.originals, timer.n_originals, ORIGINAL_HANDLER)
     for k in range(timer.n_originals):
         if originals[k].register == register and originals[k].function:
             _write_register(originals[k].function, (simavr.avr, register, value, originals[k].parameter))
@@ -316,7 +321,7 @@ def _call_original(timer, simavr, register, value):
 @hot
 def _find_top(timer):
     """Return the greatest count of an AVR timer in CTC mode."""
-    units = array_at(timer.units, N_UNITS, UNIT)
+    units = array_at(timer.units, N_UNITS, COMPARE_UNIT)
     return units[CAPTURE].value if timer.is_top_icr else units[0].value
 
 
@@ -325,7 +330,7 @@ def _select_mode(timer, simavr, cycle):
     """Set the mode and the clock of a timer from its registers, with effect from a cycle on."""
     mode, clock = _read_selected_number(simavr, timer.modes), _read_selected_number(simavr, timer.clocks)
     kind, shift = timer.kinds[mode], timer.shifts[clock]
-    is_external = shift & EXTERNAL != 0 or (timer.has_external_clock != 0 and clock >= 6)
+    is_external = shift & EXTERNAL_CLOCK != 0 or (timer.has_external_clock != 0 and clock >= 6)
     is_known = kind in (RESERVED, NORMAL, CTC)
     timer.is_simavrs = not is_known or is_external or read_bits(simavr, timer.asynchronous) != 0
     timer.is_top_icr = kind == CTC and timer.tops[mode] == TOP_ICR
@@ -345,7 +350,7 @@ def _take_over_from_simavr(timer, simavr):
     )
     register = timer.clocks[0] & 0x1FF
     value, mask = read_register_byte(simavr, register), np.int64(0)
-    for k in range(WIDTHS):
+    for k in range(SELECT_BIT_COUNT):
         bits = timer.clocks[k]
         if bits & 0x1FF == register:
             mask |= (bits >> 12 & 0xFF) << (bits >> 9 & 7)
@@ -353,14 +358,14 @@ def _take_over_from_simavr(timer, simavr):
     write_register_byte(simavr, register, value)
     timer.due = 0
     if timer.capture_irq:
-        unit = array_at(timer.units, N_UNITS, UNIT)[CAPTURE]
+        unit = array_at(timer.units, N_UNITS, COMPARE_UNIT)[CAPTURE]
         unit.value = read_register_byte(simavr, unit.register) | read_register_byte(simavr, unit.high) << 8
 
 
 @hot
-def _strobe_outputs(timer, simavr, value):
+def _force_output_compare(timer, simavr, value):
     """Force a match at the outputs whose FOC bits are set in `value`. Forced matches set no flag."""
-    units = array_at(timer.units, N_UNITS, UNIT)
+    units = array_at(timer.units, N_UNITS, COMPARE_UNIT)
     for k in range(CAPTURE):
         if value >> (7 - k) & 1:
             _drive_output(simavr, units[k], 1)
@@ -369,7 +374,7 @@ def _strobe_outputs(timer, simavr, value):
 @hot
 def _note_pwm_outputs(timer, simavr):
     """Note each output that a timer would drive in a mode other than normal and CTC, because nothing makes its edges."""
-    mode, units = _read_selected_number(simavr, timer.modes), array_at(timer.units, N_UNITS, UNIT)
+    mode, units = _read_selected_number(simavr, timer.modes), array_at(timer.units, N_UNITS, COMPARE_UNIT)
     if timer.runs and timer.kinds[mode] != NORMAL and timer.kinds[mode] != CTC:
         for k in range(CAPTURE):
             if read_bits(simavr, units[k].mode):
@@ -400,17 +405,17 @@ def write_control(_avr, register, value, timer):
     if was_simavrs:
         _take_over_from_simavr(timer, simavr)
     _watch_write(simavr.watch_write, (simavr.avr, register, value))
-    _strobe_outputs(timer, simavr, strobes)
+    _force_output_compare(timer, simavr, strobes)
     _schedule_event(timer)
 
 
 @exported(None, "i8", "i4", "i4", TIMER)
-def write_strobes(_avr, _register, value, timer):
+def write_force_compare(_avr, _register, value, timer):
     """Handle a write of TCCRnC (forced compare bits) of a 16-bit AVR timer, which reads as 0."""
     if not timer.is_simavrs:
         simavr = _get_simavr(timer)
         _update_timer(timer, _get_access_cycle(simavr) + 1)
-        _strobe_outputs(timer, simavr, value & timer.strobe_mask)
+        _force_output_compare(timer, simavr, value & timer.strobe_mask)
 
 
 @exported(None, "i8", "i4", "i4", TIMER)
@@ -436,7 +441,7 @@ def write_compare(_avr, register, value, timer):
     """Handle a write of OCRnA, OCRnB, OCRnC or ICRn, the compare and capture registers of an AVR timer."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
     _update_timer(timer, _get_access_cycle(simavr) + 1)
-    units = array_at(timer.units, N_UNITS, UNIT)
+    units = array_at(timer.units, N_UNITS, COMPARE_UNIT)
     for k in range(N_UNITS):
         if units[k].register == register:
             units[k].value = _write_word(timer, simavr, register, units[k].high, value)
@@ -479,7 +484,7 @@ def read_count(_avr, register, timer):
 @exported("i4", "i8", "i4", TIMER)
 def read_capture(_avr, register, timer):
     """Return the low byte of ICRn, the capture register of an AVR timer, and store the high byte in TEMP."""
-    simavr, unit = _get_simavr(timer), array_at(timer.units, N_UNITS, UNIT)[CAPTURE]
+    simavr, unit = _get_simavr(timer), array_at(timer.units, N_UNITS, COMPARE_UNIT)[CAPTURE]
     if timer.is_simavrs:
         timer.temp = read_register_byte(simavr, unit.high)
     else:
@@ -497,8 +502,8 @@ def read_high_byte(_avr, _register, timer):
 # --- interrupts ---
 
 
-@exported(None, "i8", "i4", "i4", SIMAVR)
-def write_enables(_avr, register, value, simavr):
+@exported(None, "i8", "i4", "i4", SIMAVR_ACCESS)
+def write_interrupt_enables(_avr, register, value, simavr):
     """Handle a write of TIMSKn, and raise each enabled interrupt whose flag is already set."""
     register = register & 0xFFFF
     _watch_write(simavr.watch_write, (simavr.avr, register, value & 0xFF))
@@ -515,7 +520,7 @@ def _clear_flag(simavr, vector):
     write_register_byte(simavr, vector.flag, read_register_byte(simavr, vector.flag) & ~vector.flag_mask)
 
 
-@exported("i4", "i8", "i4", SIMAVR)
+@exported("i4", "i8", "i4", SIMAVR_ACCESS)
 def read_flags(_avr, register, simavr):
     """Return TIFRn, the flags of an AVR timer, with all flags up to date."""
     register = register & 0xFFFF
@@ -528,7 +533,7 @@ def read_flags(_avr, register, simavr):
     return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
 
 
-@exported(None, "i8", "i4", "i4", SIMAVR)
+@exported(None, "i8", "i4", "i4", SIMAVR_ACCESS)
 def write_flags(_avr, register, value, simavr):
     """Handle a write of TIFRn, the flags of an AVR timer, where each 1 clears a flag."""
     register = register & 0xFFFF
@@ -555,7 +560,7 @@ def clear_served_flag(_irq, value, vector):
         _schedule_event(timer)
 
 
-@exported(None, "i8", "i4", SIMAVR)
+@exported(None, "i8", "i4", SIMAVR_ACCESS)
 def spend_response_time(_irq, value, simavr):
     """Let the cycles pass that the processor needs to enter an interrupt routine. simavr calls this."""
     if value:
@@ -567,11 +572,11 @@ def spend_response_time(_irq, value, simavr):
 @exported(None, "i8", "i4", TIMER)
 def capture_count(irq, level, timer):
     """Copy the count of an AVR timer to ICRn at an edge of its capture pin; simavr sets the flag."""
-    was_high = array_at(irq + IRQ_LEVEL, 1, WORD)[0] != 0
+    was_high = array_at(irq + IRQ_LEVEL_OFFSET, 1, WORD)[0] != 0
     if timer.is_simavrs or timer.is_top_icr or was_high == (level != 0):
         return
     simavr = _get_simavr(timer)
     if was_high == (read_bits(simavr, timer.capture_edge) == 0):
         _update_timer(timer, get_cycle(simavr))
         _schedule_event(timer)
-        array_at(timer.units, N_UNITS, UNIT)[CAPTURE].value = timer.count
+        array_at(timer.units, N_UNITS, COMPARE_UNIT)[CAPTURE].value = timer.count

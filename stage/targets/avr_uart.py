@@ -16,23 +16,23 @@ import numpy as np
 from stage.board.board import Board
 from stage.native import array_at
 from stage.targets import avr_serial
-from stage.targets.simavr_structure_offsets import IRQ, MODULE, UART, list_modules, view_structure
+from stage.targets.simavr_structure_offsets import AVR_IRQ_T, AVR_MODULE_T, AVR_UART_T, list_modules, view_structure
 
-NAMES = "0123"
+UART_NAMES = "0123"
 INPUT, OUTPUT, EMPTY = 0, 1, 2
 """simavr's IRQs of a UART: a byte for the program, a byte of the program, and that all bytes for it have been read."""
-OVERRUN = (
+OVERRUN_MESSAGE = (
     b"UART: a byte was lost: the program had not read the 64 before it, of which a chip holds three (data overrun); "
     b"it is said once"
 )
 LOG_LINE_SIZE = 256  # bytes of a line of the log
-IDLE_S = 50e-6
+IDLE_POLL_INTERVAL_S = 50e-6
 """Simulated time between two polls for a byte."""
 RESET_BYTE_US = 100
 """Microseconds that simavr gives a character after a reset."""
-_BITS = ("rxen", "u2x", "usbs", "ucsz", "ucsz2", "ubrrl", "ubrrh")
+_BIT_FIELDS = ("rxen", "u2x", "usbs", "ucsz", "ucsz2", "ubrrl", "ubrrh")
 """Fields of an avr_uart_t that are register bits as simavr packs them."""
-_SEARCHED = slice(136, 624)
+_SEARCH_RANGE = slice(136, 624)
 """Bytes of an avr_uart_t in which the cycles of a character are."""
 _UPM1 = 5
 """Bit of UCSRC that enables parity."""
@@ -43,7 +43,7 @@ class UartLayout:
     """Position of the fields of an avr_uart_t that this module needs.
 
     Attributes:
-        bits: The avr_regbit_t of each name of _BITS, and of upm.
+        bits: The avr_regbit_t of each name of _BIT_FIELDS, and of upm.
         byte_cycles_at: Address of the field with the cycles of a character.
     """
 
@@ -60,18 +60,18 @@ def find_uart_layout(irqs: int, avr: int, name: str, hz: int) -> UartLayout | No
         name: Name of the UART, a digit.
         hz: Clock of the AVR, Hz.
     """
-    uart = next((at for at in list_modules(avr) if int(view_structure(at, MODULE)["irq"]) == irqs), 0)
+    uart = next((at for at in list_modules(avr) if int(view_structure(at, AVR_MODULE_T)["irq"]) == irqs), 0)
     if not uart:
         return None
-    content: Any = array_at(uart, _SEARCHED.stop, np.dtype("u1"))
-    places = np.flatnonzero(content[_SEARCHED].view("<u8") == hz * RESET_BYTE_US // 1_000_000)
-    fields = view_structure(uart, UART)
-    words = {bits: int(fields[bits]) for bits in _BITS}
+    content: Any = array_at(uart, _SEARCH_RANGE.stop, np.dtype("u1"))
+    places = np.flatnonzero(content[_SEARCH_RANGE].view("<u8") == hz * RESET_BYTE_US // 1_000_000)
+    fields = view_structure(uart, AVR_UART_T)
+    words = {bits: int(fields[bits]) for bits in _BIT_FIELDS}
     if fields["name"] != ord(name) or len(places) != 1 or words["ubrrl"] >> 12 != 0xFF or words["rxen"] >> 12 != 1:
         return None
     ucsrc = int(fields["frame"])
     words["upm"] = ucsrc | _UPM1 << 9 | 1 << 12 if ucsrc else 0
-    return UartLayout(words, uart + _SEARCHED.start + 8 * int(places[0]))
+    return UartLayout(words, uart + _SEARCH_RANGE.start + 8 * int(places[0]))
 
 
 class AvrUart:
@@ -92,7 +92,7 @@ class AvrUart:
         u = self._row[0]
         u.avr, u.address = record.own, self._row.ctypes.data
         u.text, u.room = ctypes.addressof(self._text), LOG_LINE_SIZE
-        u.input, u.idle = irqs + INPUT * IRQ.itemsize, max(1, round(IDLE_S * record.hz))
+        u.input, u.idle = irqs + INPUT * AVR_IRQ_T.itemsize, max(1, round(IDLE_POLL_INTERVAL_S * record.hz))
         u.register_timer = avr.find_function_address("avr_cycle_timer_register")
         self._sent_handler, self._receive = avr_serial.handle_sent_byte.pointer, avr_serial.receive_byte.pointer
         self._deliver = avr_serial.deliver_sent_byte.pointer
@@ -104,11 +104,11 @@ class AvrUart:
                 u[key] = word
         if u.connected:
             board.serial_lines.lines[line].record["is_wired"] = 1
-            self._warning = ctypes.create_string_buffer(OVERRUN)
+            self._warning = ctypes.create_string_buffer(OVERRUN_MESSAGE)
             u.warning = ctypes.addressof(self._warning)
             self._read_handler = avr_serial.handle_read_byte.pointer
-            avr.register_callback(irqs + EMPTY * IRQ.itemsize, self._read_handler, self._row)
-        avr.register_callback(irqs + OUTPUT * IRQ.itemsize, self._sent_handler, self._row)
+            avr.register_callback(irqs + EMPTY * AVR_IRQ_T.itemsize, self._read_handler, self._row)
+        avr.register_callback(irqs + OUTPUT * AVR_IRQ_T.itemsize, self._sent_handler, self._row)
 
     def start_receiving(self) -> None:
         """Begin to receive bytes from the board."""

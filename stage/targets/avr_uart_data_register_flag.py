@@ -7,7 +7,7 @@ flag set while the transmit buffer is empty.
 from __future__ import annotations
 
 from stage.native import array_at, declare_address_call, exported, record
-from stage.targets.avr_timers import SIMAVR, call_for_vector, read_bits, read_register_byte, write_register_byte
+from stage.targets.avr_timers import SIMAVR_ACCESS, call_for_vector, read_bits, read_register_byte, write_register_byte
 
 TRANSMITTER = record([(name, "i8") for name in "simavr function parameter transmitter vector flag flag_mask".split()])
 """simavr             address of the SIMAVR record
@@ -21,7 +21,7 @@ _write_register = declare_address_call(None, "i8", "i4", "i4", "i8")
 @exported(None, "i8", "i4", "i4", TRANSMITTER)
 def write_transmitter_enable(avr, register, value, row):
     """Handle a write of the AVR's UCSRnB, and set UDREn when the program switches the transmitter off."""
-    simavr = array_at(row.simavr, 1, SIMAVR)[0]
+    simavr = array_at(row.simavr, 1, SIMAVR_ACCESS)[0]
     was_enabled = read_bits(simavr, row.transmitter)
     _write_register(row.function, (avr, register & 0xFFFF, value & 0xFF, row.parameter))
     is_enabled = read_bits(simavr, row.transmitter)

@@ -14,7 +14,7 @@ from typing import Any
 
 from stage.board.board import Board
 from stage.board.errors import LibraryError
-from stage.board.memory_mapped_ports import Window
+from stage.board.memory_mapped_ports import MemoryWindow
 from stage.errors import ArgumentError
 from stage.targets.elf import ARM, Elf, check_arm
 from stage.targets.gdb_server import DebugServer, make_cortex_registers
@@ -25,21 +25,21 @@ from stage.targets.unicorn_processor import INVALID_INSTRUCTION, PAGE_SIZE, Regi
 DEFAULT_HZ = 72_000_000
 INSTRUCTION_UNITS, BYTE_UNITS, UNITS = 1, 1, 2
 """Units of time an instruction and a byte, and units a cycle."""
-REGIONS = {
+MEMORY_REGION_SIZES = {
     0x00000000: 1 << 20, 0x08000000: 2 << 20, 0x10000000: 1 << 20, 0x1FFF0000: 1 << 16, 0x20000000: 1 << 20, 0x60000000: 1 << 20,
 }  # fmt: skip
 """Size of the memories by address, where no window lies: flash, RAM, external RAM."""
-FLASH = (0x00000000, 0x08000000)
+FLASH_ADDRESSES = (0x00000000, 0x08000000)
 """Memory that a program cannot write, unless its linker has put variables there."""
 PRIVATE, PRIVATE_SIZE = 0xE0000000, 0x100000
-EXTERNAL = 0x60000000
-RESET = 0xFFFFFFFF  # of lr
-_FRAME = struct.Struct("<8I")
-_RETURN = 0xFFFFFFE0
-_THUMB = 0x01000000
+EXTERNAL_MEMORY_BEGIN = 0x60000000
+RESET_LINK_REGISTER = 0xFFFFFFFF  # of lr
+_EXCEPTION_FRAME = struct.Struct("<8I")
+_EXC_RETURN = 0xFFFFFFE0
+_THUMB_BIT = 0x01000000
 _SVC, _BREAKPOINT, _EXIT = 2, 7, 8
 _UNDEFINED, _NO_CODE, _NO_THUMB = 1, 3, 18
-_EXCEPTIONS = {
+_EXCEPTION_MESSAGES = {
     _UNDEFINED: "an instruction that this processor does not have",
     _NO_CODE: "it jumps to where there is no code",
     4: "it touches memory that it may not touch",
@@ -50,7 +50,7 @@ _EXCEPTIONS = {
 """Exceptions as Unicorn numbers them."""
 _SEMIHOSTING, _WFI = b"\xab\xbe", (b"\x30\xbf", b"\x20\xbf")
 BUILD_COMMAND = "arm-none-eabi-gcc -mcpu={mcu} -mthumb -T script.ld ..."
-MODELS = {"cortex-m0": 7, "cortex-m3": 8, "cortex-m4": 9}
+UNICORN_CPU_MODELS = {"cortex-m0": 7, "cortex-m3": 8, "cortex-m4": 9}
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class CortexProgram:
     path: Path
     mcu: str
     hz: int | None
-    windows: tuple[Window, ...]
+    windows: tuple[MemoryWindow, ...]
     irq: int | None
     gdb: int | None = None
 
@@ -90,7 +90,7 @@ class Cortex(UnicornProcessor):
         check_arm(self._elf, program.mcu, BUILD_COMMAND)
         hz = program.hz or DEFAULT_HZ
         mode = unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS
-        super().__init__(program.path, board, unicorn.UC_ARCH_ARM, mode, hz * UNITS, MODELS[program.mcu])
+        super().__init__(program.path, board, unicorn.UC_ARCH_ARM, mode, hz * UNITS, UNICORN_CPU_MODELS[program.mcu])
         t = self.record
         t.each, t.byte, t.flags, t.mask, t.on = (
             INSTRUCTION_UNITS,
@@ -121,7 +121,7 @@ class Cortex(UnicornProcessor):
         """Return 32 bits of the Cortex-M's memory."""
         return int.from_bytes(self.uc.mem_read(address, 4), "little")
 
-    def _map_memory(self, windows: tuple[Window, ...]) -> None:
+    def _map_memory(self, windows: tuple[MemoryWindow, ...]) -> None:
         """Map the memory regions, the private peripherals and the windows of the board."""
         import unicorn
 
@@ -131,16 +131,18 @@ class Cortex(UnicornProcessor):
                 raise ArgumentError(
                     f"window {w}: a Cortex-M has no memory for it there; its devices are at 40000000h and up."
                 )
-            for begin, size in REGIONS.items():
-                if begin <= w.address < begin + size and begin < EXTERNAL:
+            for begin, size in MEMORY_REGION_SIZES.items():
+                if begin <= w.address < begin + size and begin < EXTERNAL_MEMORY_BEGIN:
                     raise ArgumentError(f"window {w}: real memory is there (of {begin:X}h to {begin + size - 1:X}h).")
-        for begin, size in REGIONS.items():
+        for begin, size in MEMORY_REGION_SIZES.items():
             if not any(w.address & -PAGE_SIZE < begin + size and begin < w.end for w in windows):
-                fixed = begin in FLASH and not self._elf.is_writable(begin, size)
+                fixed = begin in FLASH_ADDRESSES and not self._elf.is_writable(begin, size)
                 rights = unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC if fixed else unicorn.UC_PROT_ALL
                 self.uc.mem_map(begin, size, rights)
         self.map_windows(windows)
-        self.uc.mmio_map(PRIVATE, PRIVATE_SIZE, self._read_private, None, self._write_private, None)
+        self.uc.mmio_map(
+            PRIVATE, PRIVATE_SIZE, self._read_private_peripherals, None, self._write_private_peripherals, None
+        )
 
     def _load_segments(self) -> int:
         """Load the segments of the program into memory; return the address of the vector table."""
@@ -150,7 +152,7 @@ class Cortex(UnicornProcessor):
             try:
                 self.uc.mem_write(segment.at, segment.content)
             except unicorn.UcError:
-                regions = ", ".join(f"{b:X}h to {b + n - 1:X}h" for b, n in REGIONS.items())
+                regions = ", ".join(f"{b:X}h to {b + n - 1:X}h" for b, n in MEMORY_REGION_SIZES.items())
                 raise LibraryError(
                     f"{self.path} has content for {segment.at:X}h, where this machine has no memory. Memory is {regions}."
                 ) from None
@@ -165,7 +167,9 @@ class Cortex(UnicornProcessor):
     def main(self) -> int:
         """Run the program from its reset vector; return its exit code."""
         vectors = self.nvic.vectors
-        self.set_registers(msp=self.read_word(vectors), sp=self.read_word(vectors), lr=RESET, xpsr=_THUMB)
+        self.set_registers(
+            msp=self.read_word(vectors), sp=self.read_word(vectors), lr=RESET_LINK_REGISTER, xpsr=_THUMB_BIT
+        )
         self._pc = self.read_word(vectors + 4) & ~1
         self.set_registers(pc=self._pc | 1)
         return super().main()
@@ -239,9 +243,9 @@ class Cortex(UnicornProcessor):
 
     def _describe_exception(self, number: int) -> str:
         """Describe an exception that ends the program for an error message."""
-        if number == _UNDEFINED and not self.get_register("xpsr") & _THUMB:
+        if number == _UNDEFINED and not self.get_register("xpsr") & _THUMB_BIT:
             number = _NO_THUMB
-        words = _EXCEPTIONS.get(number, f"exception {number} of Unicorn")
+        words = _EXCEPTION_MESSAGES.get(number, f"exception {number} of Unicorn")
         window = next((w for w in self._windows_of_board if w.address <= self._pc < w.end), None)
         if number == _NO_CODE and window is not None:
             words = f"it jumps into the window {window}, where the chips are and no code"
@@ -258,10 +262,10 @@ class Cortex(UnicornProcessor):
         control, sp, xpsr, *words = self._interrupted.read_all()
         process = not handler and control & 2
         padded = sp & 4
-        begin = (sp - padded - _FRAME.size) & 0xFFFFFFFF
-        frame = _FRAME.pack(*words, self._pc, xpsr | _THUMB | (0x200 if padded else 0))
+        begin = (sp - padded - _EXCEPTION_FRAME.size) & 0xFFFFFFFF
+        frame = _EXCEPTION_FRAME.pack(*words, self._pc, xpsr | _THUMB_BIT | (0x200 if padded else 0))
         self.uc.mem_write(begin, frame)
-        back = _RETURN | (0x11 if handler else 0x1D if process else 0x19)
+        back = _EXC_RETURN | (0x11 if handler else 0x1D if process else 0x19)
         self._entry.write_all(begin, number, back, routine)
         self._pc = routine & ~1
         self.nvic.enter_exception(number)
@@ -275,10 +279,10 @@ class Cortex(UnicornProcessor):
             if bool(control & 2) != (value & 0xC == 0xC):
                 self.set_registers(control=control ^ 2)
         sp = self.get_register("sp")
-        *words, pc, xpsr = _FRAME.unpack(self.uc.mem_read(sp, _FRAME.size))
+        *words, pc, xpsr = _EXCEPTION_FRAME.unpack(self.uc.mem_read(sp, _EXCEPTION_FRAME.size))
         xpsr_now = xpsr & ~0x3FF | (0 if value & 8 else self.nvic.get_active_exception())
         self._pc = pc & ~1
-        self._exit.write_all(sp + _FRAME.size + (4 if xpsr & 0x200 else 0), xpsr_now, *words, self._pc | 1)
+        self._exit.write_all(sp + _EXCEPTION_FRAME.size + (4 if xpsr & 0x200 else 0), xpsr_now, *words, self._pc | 1)
 
     def _group_registers(self, names: str) -> Registers:
         """Return a group of registers, given by their names in one text."""
@@ -293,12 +297,12 @@ class Cortex(UnicornProcessor):
         t.line, t.device_waits = self.nvic.can_line_interrupt(), self.nvic.has_waiting_exception()
         t.due = t.cycles
 
-    def _read_private(self, _uc: Any, offset: int, size: int, _user: Any) -> int:
+    def _read_private_peripherals(self, _uc: Any, offset: int, size: int, _user: Any) -> int:
         """Return bytes of the private peripherals. Unicorn calls this."""
         value = self.nvic.read(offset & ~3) >> 8 * (offset & 3)
         return value & (1 << 8 * size) - 1
 
-    def _write_private(self, _uc: Any, offset: int, size: int, value: int, _user: Any) -> None:
+    def _write_private_peripherals(self, _uc: Any, offset: int, size: int, value: int, _user: Any) -> None:
         """Write bytes of the private peripherals; end the run if they request a reset. Unicorn calls this."""
         if offset < 0x80:  # ITM, the first stimulus port
             self.log_text(value.to_bytes(size, "little").decode("latin1"))
@@ -309,9 +313,9 @@ class Cortex(UnicornProcessor):
 
 _OPEN, _CLOSE, _CHAR, _TEXT, _WRITE, _IS_TTY, _LENGTH = 0x01, 0x02, 0x03, 0x04, 0x05, 0x09, 0x0C
 _CLOCK, _TIME, _ERROR, _COMMAND_LINE, _HEAP, _END, _END_WITH = 0x10, 0x11, 0x13, 0x15, 0x16, 0x18, 0x20
-APPLICATION_ENDS = 0x20026
-MAX_TEXT = 4096
-_FAILED = 0xFFFFFFFF
+APPLICATION_EXIT = 0x20026
+MAX_TEXT_BYTES = 4096
+_FAILURE_RESULT = 0xFFFFFFFF
 
 
 class Semihosting:
@@ -335,30 +339,30 @@ class Semihosting:
             cpu.log_text(self._read_text(about))
         elif what == _WRITE:
             at, size = cpu.read_word(about + 4), cpu.read_word(about + 8)
-            cpu.log_text(bytes(cpu.uc.mem_read(at, min(size, MAX_TEXT))).decode("latin1"))
+            cpu.log_text(bytes(cpu.uc.mem_read(at, min(size, MAX_TEXT_BYTES))).decode("latin1"))
         elif what in (_OPEN, _IS_TTY):
             answer = 1
         elif what == _CLOCK:
-            answer = self._count_hundredths()
+            answer = self._compute_time_hundredths()
         elif what == _TIME:
-            answer = self._count_hundredths() // 100
+            answer = self._compute_time_hundredths() // 100
         elif what == _END:
-            cpu.end(0 if about == APPLICATION_ENDS else 1)
+            cpu.end(0 if about == APPLICATION_EXIT else 1)
         elif what == _END_WITH:
             code = cpu.read_word(about + 4)
             cpu.end(code - (1 << 32) if code >> 31 else code)
         elif what not in (_CLOSE, _LENGTH, _ERROR, _HEAP):
-            answer = _FAILED
+            answer = _FAILURE_RESULT
         cpu.set_registers(r0=answer)
 
     def _read_text(self, address: int) -> str:
         """Return the text at an address up to its zero byte."""
         text = b""
-        while b"\0" not in text and len(text) < MAX_TEXT:
+        while b"\0" not in text and len(text) < MAX_TEXT_BYTES:
             text += bytes(self._cpu.uc.mem_read(address + len(text), 16))
         return text.split(b"\0")[0].decode("latin1")
 
-    def _count_hundredths(self) -> int:
+    def _compute_time_hundredths(self) -> int:
         """Return the simulated time in hundredths of a second, for the program."""
         t = self._cpu.record
         return int(t.cycles) * 100 // int(t.hz)

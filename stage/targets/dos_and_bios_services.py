@@ -9,15 +9,15 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from stage.targets.pc_timer import FULL
-from stage.targets.pc_timer import HZ as TIMER_HZ
+from stage.targets.pc_timer import CLOCK_HZ as TIMER_HZ
+from stage.targets.pc_timer import MAX_RELOAD
 
 CARRY, ZERO = 1, 0x40
 NO_FILE, NO_MEMORY, NO_HANDLE = 2, 8, 6
 """Error codes of DOS."""
-CONSOLE = (1, 2)  # handles
-MAX_TEXT = 4096
-NO_KEY = "it waits for a key, and nobody is at the keyboard"
+CONSOLE_HANDLES = (1, 2)  # handles
+MAX_TEXT_BYTES = 4096
+NO_KEY_MESSAGE = "it waits for a key, and nobody is at the keyboard"
 
 
 class Dos:
@@ -30,11 +30,11 @@ class Dos:
     def __init__(self, pc: Any):
         self._pc = pc
         self._functions: dict[int, Callable[[], None]] = {
-            0x00: lambda: pc.end(0), 0x02: self._print_character, 0x06: self._use_console, 0x09: self._print_text,
+            0x00: lambda: pc.end(0), 0x02: self._print_character, 0x06: self._perform_console_io, 0x09: self._print_text,
             0x0B: lambda: pc.set_registers(al=0), 0x25: self._set_vector, 0x2A: lambda: pc.set_registers(cx=1995, dx=0x0701, al=6),
             0x2C: self._read_dos_time, 0x30: lambda: pc.set_registers(ax=0x0005, bx=0, cx=0), 0x35: self._read_vector,
             0x40: self._write_to_handle, 0x44: self._read_device_information, 0x48: lambda: self._return_error(NO_MEMORY, bx=0),
-            **dict.fromkeys((0x01, 0x07, 0x08, 0x0A, 0x3F), lambda: pc.fail(NO_KEY)),
+            **dict.fromkeys((0x01, 0x07, 0x08, 0x0A, 0x3F), lambda: pc.fail(NO_KEY_MESSAGE)),
             **dict.fromkeys((0x31, 0x4C), lambda: pc.end(pc.get_register("al"))),
             **dict.fromkeys((0x0E, 0x1A, 0x33, 0x3E, 0x49, 0x4A), self._return_success),
             **dict.fromkeys((0x3C, 0x3D, 0x43, 0x4E), lambda: self._return_error(NO_FILE)),
@@ -71,7 +71,7 @@ class Dos:
         """Print the character in DL (INT 21h, function 02h)."""
         self._pc.log_text(chr(self._pc.get_register("dx") & 0xFF))
 
-    def _use_console(self) -> None:
+    def _perform_console_io(self) -> None:
         """Print the character in DL, or report that no key is pressed if DL is FFh (INT 21h, function 06h)."""
         if self._pc.get_register("dx") & 0xFF != 0xFF:
             self._print_character()
@@ -81,7 +81,7 @@ class Dos:
     def _print_text(self) -> None:
         """Print the text at DS:DX up to a dollar sign (INT 21h, function 09h)."""
         pc, dx = self._pc, self._pc.get_register("dx")
-        text = pc.read(pc.get_register("ds"), dx, min(0x10000 - dx, MAX_TEXT))
+        text = pc.read(pc.get_register("ds"), dx, min(0x10000 - dx, MAX_TEXT_BYTES))
         pc.log_text(text.split(b"$")[0].decode("cp437"))
 
     def _set_vector(self) -> None:
@@ -110,7 +110,7 @@ class Dos:
     def _write_to_handle(self) -> None:
         """Write bytes to the console (INT 21h, function 40h)."""
         pc = self._pc
-        if pc.get_register("bx") not in CONSOLE:
+        if pc.get_register("bx") not in CONSOLE_HANDLES:
             self._return_error(NO_HANDLE)
             return
         size = pc.get_register("cx")
@@ -132,7 +132,7 @@ class Dos:
         if ah in (0x01, 0x11):
             pc.set_registers(eflags=pc.get_register("eflags") | ZERO)
         elif ah in (0x00, 0x10):
-            pc.fail(NO_KEY)
+            pc.fail(NO_KEY_MESSAGE)
         else:
             pc.set_registers(al=0)
 
@@ -147,5 +147,5 @@ class Dos:
     def _read_bios_clock(self) -> None:
         """Return the ticks of the BIOS clock since the start (INT 1Ah, function 00h)."""
         t = self._pc.record
-        ticks = int(t.cycles) * TIMER_HZ // (int(t.hz) * FULL)
+        ticks = int(t.cycles) * TIMER_HZ // (int(t.hz) * MAX_RELOAD)
         self._pc.set_registers(cx=ticks >> 16, dx=ticks & 0xFFFF, al=0)

@@ -24,24 +24,28 @@ from stage.support.subprocesses import run_program
 from stage.targets.supported_processors import AVRS
 
 AVR, ARM = 83, 40
-MAX_SIZE = 1 << 28
+MAX_FILE_BYTES = 1 << 28
 """Largest size of a program file, bytes."""
-ADDR2LINE = ("avr-addr2line", "arm-none-eabi-addr2line", "llvm-addr2line", "addr2line")
-_PROGRAM = 2
-_KINDS = {1: "an object file", 3: "a shared library", 4: "a core dump"}
+ADDR2LINE_COMMANDS = ("avr-addr2line", "arm-none-eabi-addr2line", "llvm-addr2line", "addr2line")
+_EXECUTABLE_TYPE = 2
+_FILE_TYPE_NAMES = {1: "an object file", 3: "a shared library", 4: "a core dump"}
 _WRITABLE, _ALLOCATED = 1, 2
-_RESERVED = 0xFF00  # from this section on
-_ARCHITECTURE = 0x7F  # of the flags
-_UNKNOWN_ARCHITECTURE = 2  # and below: assembled without -mmcu
+_RESERVED_SECTIONS_BEGIN = 0xFF00  # from this section on
+_ARCHITECTURE_MASK = 0x7F  # of the flags
+_MAX_UNKNOWN_ARCHITECTURE = 2  # and below: assembled without -mmcu
 _NAME_TAG = 1  # of AVR_MCU(...)
-_SMALL = "attiny"
+_ATTINY_PREFIX = "attiny"
 V7, V6M, V6SM, V7EM, V8BASE, V8MAIN, V81MAIN = 10, 11, 12, 13, 16, 17, 21
-_ARM_NAMES = {
+_ARM_ARCHITECTURE_NAMES = {
     V7: "v7-M (Cortex-M3)", V6M: "v6-M (Cortex-M0)", V6SM: "v6-M (Cortex-M0)", V7EM: "v7E-M (Cortex-M4, M7)",
     V8BASE: "v8-M (Cortex-M23)", V8MAIN: "v8-M (Cortex-M33)", V81MAIN: "v8.1-M (Cortex-M55)",
 }  # fmt: skip
-_ARM_RUNS = {"cortex-m0": (V6M, V6SM), "cortex-m3": (V6M, V6SM, V7), "cortex-m4": (V6M, V6SM, V7, V7EM)}
-_DAMAGED = (ValueError, LookupError, TypeError, AttributeError, AssertionError, OverflowError)
+_ARM_COMPATIBLE_ARCHITECTURES = {
+    "cortex-m0": (V6M, V6SM),
+    "cortex-m3": (V6M, V6SM, V7),
+    "cortex-m4": (V6M, V6SM, V7, V7EM),
+}
+_DAMAGED_FILE_ERRORS = (ValueError, LookupError, TypeError, AttributeError, AssertionError, OverflowError)
 """Exceptions of pyelftools for damaged files, besides its own errors."""
 
 
@@ -99,9 +103,11 @@ class Elf:
                 f"{path} was built for {machine_name}, and {mcu} is an {MACHINES[machine]}. Build it by {how}."
             )
         kind, _ = read_elf_head(content[:ELF_HEAD_SIZE]) or (0, 0)
-        if kind != _PROGRAM:
-            raise LibraryError(f"{path} is {_KINDS.get(kind, 'no program')}, not a program. Link it by {how}.")
-        errors = (ELFError, *_DAMAGED)
+        if kind != _EXECUTABLE_TYPE:
+            raise LibraryError(
+                f"{path} is {_FILE_TYPE_NAMES.get(kind, 'no program')}, not a program. Link it by {how}."
+            )
+        errors = (ELFError, *_DAMAGED_FILE_ERRORS)
         try:
             self._file = ELFFile(BytesIO(content))
             self.flags, self.entry = int(self._file.header.e_flags), int(self._file.header.e_entry)
@@ -153,7 +159,7 @@ class Elf:
 
     def _find_source_line(self, address: int) -> str:
         """Return the source file and line of an address, found by addr2line, or ""."""
-        for tool in filter(shutil.which, ADDR2LINE):
+        for tool in filter(shutil.which, ADDR2LINE_COMMANDS):
             done = run_program([tool, "-e", str(self.path), hex(address)])
             line = done.stdout.strip().split(" (")[0]
             if done.returncode == 0 and line and not line.startswith("??") and not line.endswith((":?", ":0")):
@@ -182,7 +188,7 @@ class Elf:
                     continue
                 symbols[name] = value
                 is_code = symbol["st_info"]["type"] in ("STT_NOTYPE", "STT_FUNC")
-                if is_code and isinstance(section, int) and section < _RESERVED and name[0] != "$":
+                if is_code and isinstance(section, int) and section < _RESERVED_SECTIONS_BEGIN and name[0] != "$":
                     self._functions.append((value & ~1 if thumb else value, name))
         self._functions.sort()
         return symbols
@@ -212,7 +218,7 @@ class Elf:
 
 def get_avr_architecture(mcu: str) -> int:
     """Return the number of an AVR's architecture in avr-gcc; the flags of its ELF files contain the number."""
-    if mcu.startswith(_SMALL):
+    if mcu.startswith(_ATTINY_PREFIX):
         return 25
     if mcu == "at90usb162":
         return 35
@@ -234,10 +240,10 @@ def check_avr(elf: Elf, mcu: str, option: str) -> None:
     Raises:
         LibraryError: The program was built for another AVR.
     """
-    name, number = read_avr_name(elf), elf.flags & _ARCHITECTURE
+    name, number = read_avr_name(elf), elf.flags & _ARCHITECTURE_MASK
     wanted = get_avr_architecture(mcu)
     other_name = name in AVRS and _strip_variant_letters(name) != _strip_variant_letters(mcu)
-    if number > _UNKNOWN_ARCHITECTURE and (number != wanted or other_name):
+    if number > _MAX_UNKNOWN_ARCHITECTURE and (number != wanted or other_name):
         target = f"{name} (architecture avr{number})" if name else f"an AVR of the architecture avr{number}"
         hint = f"Run it with --mcu {name}, or build it" if name in AVRS else "Build it"
         raise LibraryError(f"{elf.path} was built for {target}, and {mcu} is an avr{wanted}. {hint} by {option}.")
@@ -286,13 +292,17 @@ def check_arm(elf: Elf, mcu: str, option: str) -> None:
     target = ""
     if arch >= V7 and profile in "AR":
         target = f"a Cortex-{profile}"
-    elif arch in _ARM_NAMES and arch not in _ARM_RUNS[mcu]:
-        target = _ARM_NAMES[arch]
+    elif arch in _ARM_ARCHITECTURE_NAMES and arch not in _ARM_COMPATIBLE_ARCHITECTURES[mcu]:
+        target = _ARM_ARCHITECTURE_NAMES[arch]
     elif mcu != "cortex-m4" and (floats or tags.get("TAG_ABI_VFP_ARGS")):
         target = "a floating-point unit"
     if not target:
         return
-    runs = [name for name in _ARM_RUNS if arch in _ARM_RUNS[name] and (name == "cortex-m4" or not floats)]
+    runs = [
+        name
+        for name in _ARM_COMPATIBLE_ARCHITECTURES
+        if arch in _ARM_COMPATIBLE_ARCHITECTURES[name] and (name == "cortex-m4" or not floats)
+    ]
     hint = f"Run it with --mcu {runs[0]}, or build it" if profile == "M" and runs else "Build it"
     raise LibraryError(
         f"{elf.path} was built for {target}, and this is {add_article(mcu)}. {hint} by {option.format(mcu=mcu)}."
@@ -304,4 +314,4 @@ def _read_program_file(path: Path) -> bytes:
     refuse_irregular(path, "program")
     if not path.is_file():
         raise FileError(f"{path}: there is no such file.")
-    return read_bytes(path, "program", MAX_SIZE)
+    return read_bytes(path, "program", MAX_FILE_BYTES)

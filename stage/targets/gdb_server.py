@@ -18,8 +18,8 @@ from typing import Any
 TRAP, INTERRUPT, SEGMENTATION = 5, 2, 11
 CTRL_C = "\x03"
 POLL_INTERVAL_S = 0.1
-MAX_READ = 0x2000
-_ERROR = "E14"
+MAX_READ_BYTES = 0x2000
+_ERROR_REPLY = "E14"
 _REPLIES = {"vCont?": "vCont;c;C;s;S", "qAttached": "1", "qC": "QC1", "qfThreadInfo": "m1", "qsThreadInfo": "l"}
 
 
@@ -95,7 +95,7 @@ def make_cortex_registers(cpu: Any) -> DebugRegisters:
     return DebugRegisters(cpu, "arm", "org.gnu.gdb.arm.m-profile", names, {"sp": "data_ptr", "pc": "code_ptr"}, "pc")
 
 
-def make_pc_registers(cpu: Any) -> DebugRegisters:
+def make_8086_registers(cpu: Any) -> DebugRegisters:
     """Create the registers of an 8086; eip is the linear address 16 * cs + ip, in which GDB counts memory, too."""
     floats = tuple((f"st{n}", 80, "i387_ext") for n in range(8))
     controls = tuple((f"f{name}", 32, "int") for name in "ctrl stat tag iseg ioff oseg ooff op".split())
@@ -134,7 +134,7 @@ class DebugServer:
 
     # --- calls of the engine ---
 
-    def prepare_engine_run(self) -> None:
+    def prepare_processor_run(self) -> None:
         """Wait for a debugger before the first run, and answer its commands while the program is halted."""
         if self._socket is None and self._port:
             self._accept_debugger()
@@ -145,7 +145,7 @@ class DebugServer:
             self._skipped = address if address in self._breakpoints else None
             self._runs.set()
 
-    def finish_engine_run(self) -> bool:
+    def finish_processor_run(self) -> bool:
         """Handle a stop of the processor.
 
         Returns:
@@ -272,7 +272,7 @@ class DebugServer:
         try:
             return self._commands[kind](rest) if kind in self._commands else ""
         except (ValueError, IndexError, self._engine.error):
-            return _ERROR
+            return _ERROR_REPLY
 
     def _answer_query(self, command: str) -> str:
         """Return the reply to a query of GDB (q, Q, v, H, T) or to a question for the last signal (?)."""
@@ -284,7 +284,7 @@ class DebugServer:
             self._acknowledges = False
             return "OK"
         if command.startswith("qSupported"):
-            return f"PacketSize={MAX_READ * 2:x};QStartNoAckMode+;qXfer:features:read+;vContSupported+"
+            return f"PacketSize={MAX_READ_BYTES * 2:x};QStartNoAckMode+;qXfer:features:read+;vContSupported+"
         if command == "?":
             return f"S{self._signal:02x}"
         return _REPLIES.get(command, "OK" if command[0] in "HT" else "")
@@ -319,15 +319,15 @@ class DebugServer:
         """Return memory in hexadecimal (GDB command m), or an error for a memory window of the board."""
         at, size = _parse_range(rest)
         if self._engine.overlaps_window(at, size):
-            return _ERROR
-        return bytes(self._engine.uc.mem_read(at, min(size, MAX_READ))).hex()
+            return _ERROR_REPLY
+        return bytes(self._engine.uc.mem_read(at, min(size, MAX_READ_BYTES))).hex()
 
     def _write_memory(self, rest: str) -> str:
         """Write memory (GDB command M), or return an error for a memory window of the board."""
         where, content = rest.split(":")
         at, size = _parse_range(where)
         if self._engine.overlaps_window(at, size):
-            return _ERROR
+            return _ERROR_REPLY
         self._engine.uc.mem_write(at, bytes.fromhex(content))
         return "OK"
 

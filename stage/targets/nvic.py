@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 SYSTICK, PENDSV, SVC, FIRST = 15, 14, 11, 16
-IRQS = 240
+IRQ_COUNT = 240
 NEVER = 1 << 60
-_LOWEST = 256  # priority of code outside exceptions
+_LOWEST_PRIORITY = 256  # priority of code outside exceptions
 _CONTROL, _RELOAD, _VALUE, _CALIBRATION = 0xE010, 0xE014, 0xE018, 0xE01C
 _ICSR, _VTOR, _AIRCR, _SHPR, _CPUID, _CYCLES = 0xED04, 0xED08, 0xED0C, 0xED18, 0xED00, 0x1004
-_STIMULUS = 0  # stimulus port of ITM; reads as 1: there is room
-_RESET = 4
+_STIMULUS_PORT = 0  # stimulus port of ITM; reads as 1: there is room
+_SYSRESETREQ = 4
 
 
 class Nvic:
@@ -46,7 +46,7 @@ class Nvic:
             primask: Register PRIMASK of the processor.
             basepri: Register BASEPRI of the processor.
         """
-        if primask & 1 or not (candidates := self._list_candidates()):
+        if primask & 1 or not (candidates := self._list_pending_exceptions()):
             return None
         priority, number = min((self._priority.get(n, 0), n) for n in candidates)
         return None if priority >= self._get_active_priority() or (basepri and priority >= basepri) else number
@@ -55,7 +55,7 @@ class Nvic:
         """Return the exceptions, other than that of the board's interrupt line, that are pending and enabled."""
         return {n for n in self._pending if n < FIRST or n in self._enabled}
 
-    def _list_candidates(self) -> set[int]:
+    def _list_pending_exceptions(self) -> set[int]:
         """Return all exceptions that are pending and enabled, including that of the board's interrupt line."""
         line = FIRST + self._irq if self._irq is not None else None
         may_come = self.level and line in self._enabled and line not in self._active
@@ -63,7 +63,7 @@ class Nvic:
 
     def _get_active_priority(self) -> int:
         """Return the highest priority (lowest number) of the active exceptions."""
-        return min((self._priority.get(n, 0) for n in self._active), default=_LOWEST)
+        return min((self._priority.get(n, 0) for n in self._active), default=_LOWEST_PRIORITY)
 
     def enter_exception(self, number: int) -> None:
         """Mark an exception as active: its routine begins.
@@ -90,7 +90,7 @@ class Nvic:
     def has_waiting_exception(self) -> bool:
         """Tell whether an exception other than that of the board's line is pending and has a sufficient priority."""
         return (
-            min((self._priority.get(n, 0) for n in self._list_waiting_exceptions()), default=_LOWEST)
+            min((self._priority.get(n, 0) for n in self._list_waiting_exceptions()), default=_LOWEST_PRIORITY)
             < self._get_active_priority()
         )
 
@@ -139,7 +139,7 @@ class Nvic:
         Args:
             offset: Offset of the register from E0000000h, a multiple of 4.
         """
-        values = {_RELOAD: self._reload, _VTOR: self.vectors, _CPUID: 0x412FC231, _AIRCR: 0xFA050000, _STIMULUS: 1}
+        values = {_RELOAD: self._reload, _VTOR: self.vectors, _CPUID: 0x412FC231, _AIRCR: 0xFA050000, _STIMULUS_PORT: 1}
         if offset == _CONTROL:
             return self._control | self._read_and_clear_countflag()
         if offset == _VALUE:
@@ -153,14 +153,14 @@ class Nvic:
         ):  # fmt: skip
             if begin <= offset < end:
                 return self._pack_register_bits(set(numbers), offset & 0x1C)
-        if (first := self._find_first_priority(offset)) is not None:
+        if (first := self._find_first_exception(offset)) is not None:
             return sum(self._priority.get(first + k, 0) << 8 * k for k in range(4))
         return values.get(offset, self._other.get(offset, 0))
 
     @staticmethod
-    def _find_first_priority(offset: int) -> int | None:
+    def _find_first_exception(offset: int) -> int | None:
         """Return the first exception whose priority a register contains, or None."""
-        if 0xE400 <= offset < 0xE400 + IRQS:
+        if 0xE400 <= offset < 0xE400 + IRQ_COUNT:
             return FIRST + offset - 0xE400
         return 4 + offset - _SHPR if _SHPR <= offset < _SHPR + 12 else None
 
@@ -187,7 +187,7 @@ class Nvic:
             numbers = {FIRST + (offset & 0x1C) * 8 + k for k in range(32) if value >> k & 1}
             which = self._enabled if offset < 0xE200 else self._pending
             (which.difference_update if offset & 0x80 else which.update)(numbers)
-        elif (first := self._find_first_priority(offset)) is not None:
+        elif (first := self._find_first_exception(offset)) is not None:
             for k in range(byte, byte + size):
                 self._priority[first + k] = value >> 8 * k & 0xFF
         elif offset == _ICSR:
@@ -197,7 +197,7 @@ class Nvic:
         elif offset == _VTOR:
             self.vectors = value & ~0x7F
         elif offset == _AIRCR:
-            return bool(value & _RESET)
+            return bool(value & _SYSRESETREQ)
         else:
             self._other[offset] = value
         return False

@@ -19,24 +19,24 @@ from stage.board.errors import LibraryError
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
 from stage.targets import dos_and_bios_services
-from stage.targets.elf import MAX_SIZE, read_machine_name
-from stage.targets.gdb_server import DebugServer, make_pc_registers
-from stage.targets.pc_timer import HZ as TIMER_HZ
+from stage.targets.elf import MAX_FILE_BYTES, read_machine_name
+from stage.targets.gdb_server import DebugServer, make_8086_registers
+from stage.targets.pc_timer import CLOCK_HZ as TIMER_HZ
 from stage.targets.pc_timer import PcTimer
 from stage.targets.processor_clock_and_bus_cycles import poll_from_python, wait
 from stage.targets.unicorn_processor import NEVER, UnicornProcessor
 
 DEFAULT_HZ = 4_772_727
 INSTRUCTION_CYCLES, BYTE_CYCLES = 8, 4
-MEMORY = 0x110000
+MEMORY_BYTES = 0x110000
 ROM, STUBS = 0xF000, 0x100  # segment; offset of the routine of interrupt 0, a byte each
 TIMER_ROUTINE = bytes.fromhex("50 CD 1C B0 20 E6 20 58 CF")
 """The timer's routine: int 1Ch, end of interrupt, iret."""
-TIMER_ROUTINE_AT = 0x10
-SOURCES = (".asm", ".c", ".cc", ".cpp", ".cxx", ".h", ".ino", ".rs", ".s")
+TIMER_ROUTINE_OFFSET = 0x10
+SOURCE_SUFFIXES = (".asm", ".c", ".cc", ".cpp", ".cxx", ".h", ".ino", ".rs", ".s")
 """Suffixes of source files. A .COM has no header, so that only the name can show that a file is none."""
 PREFIX_SEGMENT = 0x1000  # segment of the program's prefix
-INTERNAL_PORTS = 0x100  # ports below are the PC's own
+INTERNAL_PORTS_END = 0x100  # ports below are the PC's own
 OPEN_BUS = 0xFF
 MAX_COM_SIZE = 0xFE00
 _PORT_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
@@ -88,7 +88,7 @@ class Pc(UnicornProcessor):
             _IF,
         )
         t.watched, t.edge = program.irq is not None, 1
-        self.uc.mem_map(0, MEMORY)
+        self.uc.mem_map(0, MEMORY_BYTES)
         self._masked, self._in_service = 0xFF & ~(1 | (1 << program.irq if program.irq else 0)), 0
         self.timers = PcTimer(lambda: int(t.cycles) * TIMER_HZ // int(t.hz))
         self._tick_pending = 0
@@ -96,10 +96,10 @@ class Pc(UnicornProcessor):
         self._load_program(program.path)
         self.dos = dos_and_bios_services.Dos(self)
         self.uc.hook_add(unicorn.UC_HOOK_INTR, self._handle_interrupt)
-        self.hook_ports(_PORT_FUNCTION(self._access_internal_port), INTERNAL_PORTS)
+        self.hook_ports(_PORT_FUNCTION(self._access_internal_port), INTERNAL_PORTS_END)
         self._call: int | None = None
         if program.gdb:
-            self.gdb = DebugServer(self, make_pc_registers(self), program.gdb)
+            self.gdb = DebugServer(self, make_8086_registers(self), program.gdb)
         self._update_line_mask()
 
     # --- memory ---
@@ -131,12 +131,12 @@ class Pc(UnicornProcessor):
         for n in range(256):
             self.write(0, 4 * n, struct.pack("<HH", *self.get_default_vector(n)))
         self.write(ROM, STUBS, b"\xcf" * 256)
-        self.write(ROM, TIMER_ROUTINE_AT, TIMER_ROUTINE)
+        self.write(ROM, TIMER_ROUTINE_OFFSET, TIMER_ROUTINE)
 
     @staticmethod
     def get_default_vector(interrupt_number: int) -> tuple[int, int]:
         """Return offset and segment of the default routine of an interrupt."""
-        return (TIMER_ROUTINE_AT if interrupt_number == 8 else STUBS + interrupt_number), ROM
+        return (TIMER_ROUTINE_OFFSET if interrupt_number == 8 else STUBS + interrupt_number), ROM
 
     def read_vector(self, interrupt_number: int) -> tuple[int, int]:
         """Return offset and segment of the current routine of an interrupt."""
@@ -150,12 +150,12 @@ class Pc(UnicornProcessor):
             raise FileError(f"{path}: there is no such file.")
         if machine := read_machine_name(path):
             raise LibraryError(f"{path} was built for {machine} (ELF), and an 8086 runs a .COM or an .EXE of DOS.")
-        if path.suffix.lower() in SOURCES:
+        if path.suffix.lower() in SOURCE_SUFFIXES:
             raise LibraryError(
                 f"{path} is a source by its name: an 8086 runs a .COM or an .EXE of DOS. Build it first, for example "
                 f"nasm -f bin {path.stem}.asm -o {path.stem}.com."
             )
-        content = read_bytes(path, "program", MAX_SIZE)
+        content = read_bytes(path, "program", MAX_FILE_BYTES)
         prefix = bytearray(256)
         prefix[:4] = struct.pack("<HH", 0x20CD, 0xA000)  # int 20h; the end of memory
         prefix[0x80:0x82] = b"\0\r"
@@ -297,7 +297,7 @@ class Pc(UnicornProcessor):
     # --- ports of the PC ---
 
     def _access_internal_port(self, own: int, port: int, size: int, value: int) -> int:
-        """Make a cycle at a port below INTERNAL_PORTS: of the board if it uses this port, else of the PC itself.
+        """Make a cycle at a port below INTERNAL_PORTS_END: of the board if it uses this port, else of the PC itself.
 
         Args:
             own: Address of the MACHINE record.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-HZ = 1_193_182
-FULL = 0x10000
-_LATCHES = 0
-_SQUARE = 3
+CLOCK_HZ = 1_193_182
+MAX_RELOAD = 0x10000
+_LATCH_COMMAND = 0
+_SQUARE_WAVE_MODE = 3
 
 
 @dataclass
@@ -24,9 +24,9 @@ class TimerChannel:
         half: Byte that is accessed next: 0 low, 1 high.
     """
 
-    mode: int = _SQUARE
+    mode: int = _SQUARE_WAVE_MODE
     access: int = 3
-    reload: int = FULL
+    reload: int = MAX_RELOAD
     started: int = 0
     low: int = 0
     latched: int = -1
@@ -112,7 +112,7 @@ class PcTimer:
         elif port == 0x43:
             if value >> 6 < 3:
                 c = self.channels[value >> 6]
-                if value >> 4 & 3 == _LATCHES:
+                if value >> 4 & 3 == _LATCH_COMMAND:
                     c.latched = c.compute_count(now)
                 else:
                     c.access, c.mode, c.half, c.latched = value >> 4 & 3, value >> 1 & 7, 0, -1
@@ -122,4 +122,4 @@ class PcTimer:
                 c.low, c.half = value, 1
                 return
             reload = {1: value, 2: value << 8, 3: value << 8 | c.low}[c.access]
-            c.reload, c.started, c.half = reload or FULL, now, 0
+            c.reload, c.started, c.half = reload or MAX_RELOAD, now, 0

@@ -10,7 +10,7 @@ its bytes; the module of each processor states its numbers.
 
 from __future__ import annotations
 
-from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, get_now
+from stage.board.bus.host_record import ADVANCE_TO_TIME, HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, get_now
 from stage.native import array_at, declare_address_call, exported, greatest, hot, least, record
 from stage.sim.compiled_stage_access import INTEGER
 
@@ -22,10 +22,10 @@ PROCESSOR_FIELDS = [(name, "i8") for name in "host request hz begin waits watche
                      interrupt (of others)
     ended, code      the program has ended, with this code
 """
-SECOND = 1_000_000_000
-_request = declare_address_call("i8", "i8", "i4", "i8", "i8")
+NS_PER_SECOND = 1_000_000_000
+_call_request = declare_address_call("i8", "i8", "i4", "i8", "i8")
 
-MACHINE = record(
+UNICORN_PROCESSOR = record(
     PROCESSOR_FIELDS
     + [(name, "i8") for name in "own uc stop reg_read flags flags_at mask on".split()]
     + [(name, "i8") for name in "cycles each byte quantum due alarm edge raised device_waits before".split()]
@@ -43,11 +43,11 @@ MACHINE = record(
     outside               an address that no window has, plus one
     internal_port, n_internal_ports the function for ports below that number: (t, port, size, value or -1) -> value
 """
-WINDOW = record([(name, "i8") for name in "address port length".split()])
+MEMORY_WINDOW = record([(name, "i8") for name in "address port length".split()])
 PAGE = record([("machine", "i8"), ("address", "i8")])
 """Page of memory with windows, and its address."""
 _stop, _reg_read = declare_address_call("i4", "i8"), declare_address_call("i4", "i8", "i4", "i8")
-_internal_port = declare_address_call("i8", "i8", "i8", "i8", "i8")
+_call_internal_port = declare_address_call("i8", "i8", "i8", "i8", "i8")
 
 
 @hot
@@ -73,20 +73,20 @@ def poll(cpu):
     return 1 if ((cpu.raised and cpu.line) or cpu.device_waits) and _are_interrupts_enabled(cpu) else 0
 
 
-@exported("i8", MACHINE)
+@exported("i8", UNICORN_PROCESSOR)
 def poll_from_python(cpu):
     """Do the same as `poll`, for calls from Python."""
     return poll(cpu)
 
 
-@exported(None, MACHINE)
+@exported(None, UNICORN_PROCESSOR)
 def wait(cpu):
     """Let simulated time pass without instructions until Python has something to handle."""
     while not poll(cpu):
         cpu.cycles = cpu.due
 
 
-@exported(None, "i8", "i8", "i4", MACHINE)
+@exported(None, "i8", "i8", "i4", UNICORN_PROCESSOR)
 def count_instruction(_uc, _address, size, cpu):
     """Count the cycles of an instruction before it runs, and stop Unicorn if Python has something to handle."""
     cpu.cycles += cpu.each + cpu.byte * size
@@ -108,21 +108,21 @@ def _write_port(cpu, size, port, value):
     make_bus_cycle(cpu, cpu.cycles, code, port, value)
 
 
-@exported("i4", "i8", "i4", "i4", MACHINE)
+@exported("i4", "i8", "i4", "i4", UNICORN_PROCESSOR)
 def execute_in(_uc, port, size, cpu):
     """Execute the 8086 instruction IN at a port of the PC or of the board. Unicorn calls this."""
     if port < cpu.n_internal_ports:
-        return _internal_port(cpu.internal_port, (cpu.own, port, size, -1))
+        return _call_internal_port(cpu.internal_port, (cpu.own, port, size, -1))
     value = _read_port(cpu, size, port)
     cpu.due = cpu.cycles  # the line may have changed
     return value
 
 
-@exported(None, "i8", "i4", "i4", "i4", MACHINE)
+@exported(None, "i8", "i4", "i4", "i4", UNICORN_PROCESSOR)
 def execute_out(_uc, port, size, value, cpu):
     """Execute the 8086 instruction OUT at a port of the PC or of the board. Unicorn calls this."""
     if port < cpu.n_internal_ports:
-        _internal_port(cpu.internal_port, (cpu.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
+        _call_internal_port(cpu.internal_port, (cpu.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
         return
     _write_port(cpu, size, port, value & 0xFFFFFFFF)
     cpu.due = cpu.cycles
@@ -131,7 +131,7 @@ def execute_out(_uc, port, size, value, cpu):
 @hot
 def _find_port(cpu, address, size):
     """Return the board's port for an address in a memory window. For other addresses, stop Unicorn and return -1."""
-    windows = array_at(cpu.windows, cpu.n_windows, WINDOW)
+    windows = array_at(cpu.windows, cpu.n_windows, MEMORY_WINDOW)
     for k in range(cpu.n_windows):
         n = address - windows[k].address
         if n >= 0 and n + size <= windows[k].length:
@@ -144,7 +144,7 @@ def _find_port(cpu, address, size):
 @exported("i8", "i8", "i8", "i4", PAGE)
 def load_from_window(_uc, offset, size, page):
     """Return bytes from a page with memory windows, which are addresses of ports of the board. Unicorn calls this."""
-    cpu = array_at(page.machine, 1, MACHINE)[0]
+    cpu = array_at(page.machine, 1, UNICORN_PROCESSOR)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port < 0:
         return 0
@@ -156,7 +156,7 @@ def load_from_window(_uc, offset, size, page):
 @exported(None, "i8", "i8", "i4", "i8", PAGE)
 def store_to_window(_uc, offset, size, value, page):
     """Store bytes in a page with memory windows, which are addresses of ports of the board. Unicorn calls this."""
-    cpu = array_at(page.machine, 1, MACHINE)[0]
+    cpu = array_at(page.machine, 1, UNICORN_PROCESSOR)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port >= 0:
         _write_port(cpu, size, port, value & 0xFFFFFFFF)
@@ -166,19 +166,19 @@ def store_to_window(_uc, offset, size, value, page):
 @hot
 def request(cpu, kind, first_operand, second_operand):
     """Execute a request of a kind (IN8, OUT8 ...) with two operands to the board, and return its answer."""
-    return _request(cpu.request, (cpu.host, kind, first_operand, second_operand))
+    return _call_request(cpu.request, (cpu.host, kind, first_operand, second_operand))
 
 
 @hot
 def compute_time(cpu, cycles):
     """Return the board's time, ns, at which the processor has run a number of cycles."""
-    return cpu.begin + cpu.waits + cycles // cpu.hz * SECOND + cycles % cpu.hz * SECOND // cpu.hz
+    return cpu.begin + cpu.waits + cycles // cpu.hz * NS_PER_SECOND + cycles % cpu.hz * NS_PER_SECOND // cpu.hz
 
 
 @hot
 def advance_board(cpu, cycles):
     """Advance the board to the processor's time. Return 1 if the interrupt line is asserted and wired to the processor."""
-    return request(cpu, UNTIL, compute_time(cpu, cycles), cpu.watched)
+    return request(cpu, ADVANCE_TO_TIME, compute_time(cpu, cycles), cpu.watched)
 
 
 @hot
@@ -186,7 +186,7 @@ def make_bus_cycle(cpu, cycles, kind, port, value):
     """Make a bus cycle that ends when the processor has run a number of cycles; return the answer."""
     host = array_at(cpu.host, 1, HOST)[0]
     end = compute_time(cpu, cycles)
-    request(cpu, UNTIL, end - host.bus, 0)
+    request(cpu, ADVANCE_TO_TIME, end - host.bus, 0)
     answer = request(cpu, kind, port, value)
     cpu.waits += greatest(get_now(host) - end, 0)
     return answer

@@ -35,18 +35,18 @@ BUILD_COMMAND = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
 DEFAULT_HZ = 16_000_000
 QUANTUM_S, SWITCH_QUANTUM_S, LINE_QUANTUM_S = 50e-6, 10e-6, 2e-6
 """Time between two ticks; with an interrupt line, which is polled in each."""
-RUN_CYCLES = 100
-EXTERNAL_INTERRUPTS = 8
-ANALOG_INPUTS = 8
+UNCHECKED_RUN_CYCLES = 100
+EXTERNAL_INTERRUPT_COUNT = 8
+ANALOG_INPUT_COUNT = 8
 EEPROM, MEMORY = 0x810000, 0x800000
 STOPPED, DONE, CRASHED = 1, 6, 7
 _ANALOG_MODES, _ANALOG_INPUT, _INPUT_NUMBER = 64, 2, 19
 """The multiplexer of the ADC as avr_adc_mux_t: its modes; the mode of a single input, and where its number stands."""
-_ERROR = 2
+_ERROR_LOG_LEVEL = 2
 _CLOCK_TAG = 2
-_ENDS = ("Invalid Opcode", "WATCHDOG: timer fired", "Resetting")
+_FATAL_MESSAGES = ("Invalid Opcode", "WATCHDOG: timer fired", "Resetting")
 """Parts of messages after which simavr goes on, and a run does not."""
-_WORDS = (
+_MESSAGE_EXPLANATIONS = (
     ("Invalid Opcode", "an instruction that this AVR does not have"),
     ("Invalid write", "a wild write"),
     ("Invalid read", "a wild read"),
@@ -55,13 +55,13 @@ _WORDS = (
     ("sadly_crashed", "the program counter has left the code"),
 )
 SLEEPS_FOR_EVER = "it sleeps for ever: no interrupt is enabled that could wake it"
-_COLOR = re.compile(r"\x1b\[[0-9;]*m")
-_PC = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
-_LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
-_NOTHING = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
-_BIND = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32)
-_MALLOC = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)
-_CALLOC = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t, ctypes.c_size_t)
+_COLOR_PATTERN = re.compile(r"\x1b\[[0-9;]*m")
+_PC_PATTERN = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
+_LOG_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
+_NO_OP_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
+_BIND_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32)
+_MALLOC_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)
+_CALLOC_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t, ctypes.c_size_t)
 _ADDRESS_SPACE = 1 << 24  # bytes that an address of an AVR reaches, with RAMPZ before Z
 
 
@@ -122,15 +122,16 @@ class _Library:
         self._libc = libc = ctypes.CDLL(None)
         libc.calloc.restype, libc.calloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t, ctypes.c_size_t)
         self._text = ctypes.create_string_buffer(1024)
-        self._logger, self.no_op = _LOGGER(self._store_message), _NOTHING(lambda _: 0)
+        self._logger, self.no_op = _LOG_FUNCTION(self._store_message), _NO_OP_FUNCTION(lambda _: 0)
         self.is_redirected = isolated and IS_SUPPORTED
         if self.is_redirected:
             from stage.board.isolation.traps import redirect_calls
 
             self._functions = {
-                **dict.fromkeys(("printf", "__printf_chk", "puts", "putchar"), self.no_op), "bind": _BIND(self._bind_gdb_server),
-                "malloc": _MALLOC(lambda size: self._allocate_with_reserve("malloc", size)),
-                "calloc": _CALLOC(lambda count, size: self._allocate_with_reserve("calloc", count * size)),
+                **dict.fromkeys(("printf", "__printf_chk", "puts", "putchar"), self.no_op),
+                "bind": _BIND_FUNCTION(self._bind_gdb_server),
+                "malloc": _MALLOC_FUNCTION(lambda size: self._allocate_with_reserve("malloc", size)),
+                "calloc": _CALLOC_FUNCTION(lambda count, size: self._allocate_with_reserve("calloc", count * size)),
             }  # fmt: skip
             redirect_calls(self.library._handle, self._functions)
         self.library["avr_global_logger_set"](self._logger)
@@ -140,9 +141,9 @@ class _Library:
     def _store_message(self, _avr: int, level: int, text: bytes, arguments: int) -> None:
         """Store a message of simavr. simavr calls this."""
         self._libc.vsnprintf(self._text, len(self._text), text, ctypes.c_void_p(arguments))
-        message = _COLOR.sub("", self._text.value.decode(errors="replace")).strip()
+        message = _COLOR_PATTERN.sub("", self._text.value.decode(errors="replace")).strip()
         self.messages.append((level, message))
-        if self.running_record is not None and any(key in message for key in _ENDS):
+        if self.running_record is not None and any(key in message for key in _FATAL_MESSAGES):
             self.running_record.ended = 1
             self.run_cycles[0] = 0  # no further instruction
 
@@ -217,7 +218,7 @@ class LoadedAvr:
         self._set_clock(hz)
         self._vectors = InterruptVectors(self._simavr.library, self._avr, _read_flash_size(self._avr))
         self._disconnect_upper_analog_inputs()
-        self._load_content()
+        self._load_segments()
         self._call_library("avr_reset")
         self._overlay = SimavrRegisterHandlers(self._simavr.library, self._avr)
         self._has_lines = bool(program.lines)
@@ -241,10 +242,10 @@ class LoadedAvr:
 
     def _set_clock(self, hz: int) -> None:
         """Set the clock in Hz, keep simavr from sleeping in real time, and find the fields of the avr_t that this class reads."""
-        row = simavr_structure_offsets.view_structure(self._avr, simavr_structure_offsets.AVR)
+        row = simavr_structure_offsets.view_structure(self._avr, simavr_structure_offsets.AVR_T)
         row["hz"], row["sleep"] = hz, ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value
         at = {
-            name: self._avr + simavr_structure_offsets.get_offset(simavr_structure_offsets.AVR, name)
+            name: self._avr + simavr_structure_offsets.get_offset(simavr_structure_offsets.AVR_T, name)
             for name in row.dtype.names
         }
         self._pc, self._state_at, self._wait_at = at["pc"], at["state"], at["interrupt_wait"]
@@ -254,15 +255,16 @@ class LoadedAvr:
     def _skip_needless_checks(self) -> None:
         """Turn off checks that simavr would make after each instruction without any effect.
 
-        Between two timer events, simavr then runs RUN_CYCLES instructions without a check, unless GDB needs one after each. A low
+        Between two timer events, simavr then runs UNCHECKED_RUN_CYCLES instructions without a check,
+        unless GDB needs one after each. A low
         pin of an
         external interrupt, which simavr would poll in each cycle even if the interrupt is disabled, interrupts at its edge. Only
         the
         interrupt line of the board, which is high at this moment, remains level-sensitive.
         """
         if not self._gdb:
-            self._run_cycles[1] = RUN_CYCLES
-        for number in range(EXTERNAL_INTERRUPTS):
+            self._run_cycles[1] = UNCHECKED_RUN_CYCLES
+        for number in range(EXTERNAL_INTERRUPT_COUNT):
             irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_ioctl_request("int "), number)
             if irq and not array_at(int(irq) + _VALUE, 1, np.dtype("u4"))[0]:
                 self._call_library("avr_extint_set_strict_lvl_trig", ctypes.c_uint8(number), ctypes.c_uint8(0))
@@ -270,13 +272,13 @@ class LoadedAvr:
     def _disconnect_upper_analog_inputs(self) -> None:
         """Let the analog inputs from 8 on read 0, like the others. simavr has values for only eight, and would read beyond them."""
         words: Any = array_at(self._avr, self._simavr.get_size(self._avr) // 8, np.dtype("u8"))
-        inputs = (_ANALOG_INPUT | np.arange(ANALOG_INPUTS) << _INPUT_NUMBER).astype("u8")
+        inputs = (_ANALOG_INPUT | np.arange(ANALOG_INPUT_COUNT) << _INPUT_NUMBER).astype("u8")
         for at in np.flatnonzero(words == inputs[0]):
             modes = words[at : at + _ANALOG_MODES]
-            if np.array_equal(modes[:ANALOG_INPUTS], inputs):
+            if np.array_equal(modes[:ANALOG_INPUT_COUNT], inputs):
                 modes[(modes & ((1 << _INPUT_NUMBER) - 1) == _ANALOG_INPUT) & (modes > inputs[-1])] = 0
 
-    def _load_content(self) -> None:
+    def _load_segments(self) -> None:
         """Load the program's segments into flash, RAM and EEPROM."""
         room, begin = _read_flash_size(self._avr), b""
         for segment in self._elf.segments:
@@ -324,14 +326,14 @@ class LoadedAvr:
 
         Args:
             port: Number of the port in PORTS.
-            number: A pin, 0 to 7, or PIN_ALL, DIRECTION_ALL or PORT_REGISTER.
+            number: A pin, 0 to 7, or PIN_ALL, DIRECTION_ALL or PORT_REGISTER_IRQ.
 
         Raises:
             StageError: This AVR has no such port.
         """
         irq = self._get_port_irq(port, number)
         if not irq:
-            raise StageError(f"--map: this AVR has no port {avr_clock_and_pins.PORTS[port]}.")
+            raise StageError(f"--map: this AVR has no port {avr_clock_and_pins.PORT_LETTERS[port]}.")
         return int(irq)
 
     def has_port(self, port: int) -> bool:
@@ -341,7 +343,7 @@ class LoadedAvr:
     def _get_port_irq(self, port: int, number: int) -> int | None:
         """Return a simavr IRQ of a port, or None if this AVR has no such port."""
         return self._simavr.get_irq(
-            ctypes.c_void_p(self._avr), encode_ioctl_request("iog" + avr_clock_and_pins.PORTS[port]), number
+            ctypes.c_void_p(self._avr), encode_ioctl_request("iog" + avr_clock_and_pins.PORT_LETTERS[port]), number
         )
 
     def find_function_address(self, name: str) -> int:
@@ -376,7 +378,7 @@ class LoadedAvr:
     def _connect_uarts_to_log_and_board(self) -> None:
         """Connect the serial lines of the program to the log and to the board."""
         self._uarts: list[AvrUart] = []
-        for name in avr_uart.NAMES:
+        for name in avr_uart.UART_NAMES:
             irqs = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_ioctl_request("uar" + name), 0)
             if irqs:
                 self._call_library("avr_ioctl", encode_ioctl_request("uas" + name), ctypes.byref(ctypes.c_uint32(0)))
@@ -412,21 +414,23 @@ class LoadedAvr:
         library.running_record = None
         for uart in self._uarts:
             uart.flush_sent_bytes()
-        if t.asleep == avr_clock_and_pins.NOTHING_WAKES:
-            library.messages.append((_ERROR, SLEEPS_FOR_EVER))
-        elif t.ended and not any(key in text for _, text in library.messages for key in _ENDS):
+        if t.asleep == avr_clock_and_pins.NO_RESUMING_INTERRUPT:
+            library.messages.append((_ERROR_LOG_LEVEL, SLEEPS_FOR_EVER))
+        elif t.ended and not any(key in text for _, text in library.messages for key in _FATAL_MESSAGES):
             return int(np.int64(t.code).astype(np.int16))
         raise HostError(self._explain_end())
 
     def _explain_end(self) -> str:
         """Explain why the program cannot continue."""
         errors = [
-            text for level, text in self._simavr.messages if level <= _ERROR or any(key in text for key, _ in _WORDS)
+            text
+            for level, text in self._simavr.messages
+            if level <= _ERROR_LOG_LEVEL or any(key in text for key, _ in _MESSAGE_EXPLANATIONS)
         ]
         message = errors[-1] if errors else "simavr has stopped it"
         pc = int(array_at(self._pc, 1, np.dtype("u4"))[0])
         for text in errors:
-            if match := _PC.search(text):
+            if match := _PC_PATTERN.search(text):
                 pc, message = int(match[1] or match[2], 16), text
                 break
         if pc == self._missing_routine_at:
@@ -435,7 +439,7 @@ class LoadedAvr:
             message = (
                 f"{name} has come and has no routine in the program: it would begin again with its memory as it is"
             )
-        for key, words in _WORDS:
+        for key, words in _MESSAGE_EXPLANATIONS:
             if key in message:
                 message = f"{words} ({message})"
         board = self._board
@@ -460,17 +464,17 @@ def _read_flash_size(avr: int) -> int:
     return int(array_at(avr + 12, 1, np.dtype("u4"))[0]) + 1
 
 
-NO_INSTRUCTION = b"\x07\x00"
+INVALID_OPCODE = b"\x07\x00"
 _JMP, _RJMP = 0x940C, 0xC000
-_BEFORE = (16, 24)
+_VECTOR_HEADER_SIZES = (16, 24)
 """Bytes of an avr_int_vector_t in front of its IRQs: simavr 1.6 and 1.7 by the size of a regbit. The first is its number."""
 _MAX_VECTORS = 128
 _IRQ, _VALUE = 40, 20
 """Bytes of an avr_irq_t, and where the value stands in it."""
-_STACK_POINTER = 0x5D
-_ONE_WORD = 8192
+_STACK_POINTER_ADDRESS = 0x5D
+_MAX_ONE_WORD_VECTOR_FLASH = 8192
 """Up to this size of the flash (bytes) a vector is one word."""
-_THREE_BYTES = 0x20000
+_THREE_BYTE_FLASH = 0x20000
 """Above this size a return address has three bytes."""
 
 
@@ -493,7 +497,7 @@ class InterruptVectors:
         irqs = {n: at for n in range(1, _MAX_VECTORS) if (at := get(ctypes.c_void_p(avr), ctypes.c_uint8(n)))}
         self.addresses = np.zeros(0, "i8")
         self._running = {n: at + _IRQ + _VALUE for n, at in irqs.items()}
-        for before in _BEFORE:
+        for before in _VECTOR_HEADER_SIZES:
             if all(array_at(at - before, 1, np.dtype("u1"))[0] == n for n, at in irqs.items()):
                 self.addresses = np.array([at - before for at in irqs.values()], "i8")
                 break
@@ -510,11 +514,11 @@ class InterruptVectors:
         Returns:
             Address to which vectors without routines lead, or -1 if there is none.
         """
-        size = 2 if self._flash <= _ONE_WORD else 4
+        size = 2 if self._flash <= _MAX_ONE_WORD_VECTOR_FLASH else 4
         targets = {find_jump_target(code, n * size, self._flash) for n in self._running}
         for place in sorted(targets):
             if place > 0 and find_jump_target(code, place, self._flash) == 0:
-                self._library["avr_loadcode"](ctypes.c_void_p(self._avr), NO_INSTRUCTION, 2, place)
+                self._library["avr_loadcode"](ctypes.c_void_p(self._avr), INVALID_OPCODE, 2, place)
                 return place
         return -1
 
@@ -530,8 +534,8 @@ class InterruptVectors:
         def read_byte(at: int) -> int:
             return int(read(ctypes.c_void_p(self._avr), ctypes.c_uint16(at))) & 0xFF
 
-        stack = read_byte(_STACK_POINTER) | read_byte(_STACK_POINTER + 1) << 8
-        size = 3 if self._flash > _THREE_BYTES else 2
+        stack = read_byte(_STACK_POINTER_ADDRESS) | read_byte(_STACK_POINTER_ADDRESS + 1) << 8
+        size = 3 if self._flash > _THREE_BYTE_FLASH else 2
         return 2 * sum(read_byte(stack + 1 + k) << 8 * (size - 1 - k) for k in range(size))
 
 

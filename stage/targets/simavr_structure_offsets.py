@@ -17,9 +17,9 @@ import numpy as np
 from stage.errors import StageError
 from stage.native import array_at
 
-VERSIONS = "1.6 or 1.7"
+SUPPORTED_VERSIONS = "1.6 or 1.7"
 """Their structures are the same as far as they are described."""
-_VERSIONS_BY_CLOCK = {64: f"{VERSIONS}, built in another way", 72: "1.8 or later"}
+_VERSIONS_BY_CLOCK_OFFSET = {64: f"{SUPPORTED_VERSIONS}, built in another way", 72: "1.8 or later"}
 """Versions by the place of the clock in an avr_t."""
 N_REGISTERS = 280
 
@@ -30,39 +30,46 @@ def _make_structure_type(size: int, **fields: tuple[int, Any]) -> np.dtype:
     return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-REGISTER = _make_structure_type(
+AVR_IO_T = _make_structure_type(
     40, read_parameter=(8, "i8"), read=(16, "i8"), write_parameter=(24, "i8"), write=(32, "i8")
 )
 """Functions that answer accesses to a register."""
-AVR = _make_structure_type(
+AVR_T = _make_structure_type(
     16016, name=(0, "i8"), flash_end=(12, "u4"), state=(60, "u4"), hz=(64, "u4"), cycle=(80, "i8"), cycles_left=(88, "i8"),
     cycle_limit=(96, "i8"), run=(160, "i8"), sleep=(168, "i8"), flags=(192, ("u1", 8)), interrupt_wait=(200, "i1"), pc=(204, "u4"),
-    registers=(216, (REGISTER, N_REGISTERS)), flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
+    registers=(216, (AVR_IO_T, N_REGISTERS)), flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
 )  # fmt: skip
 """An avr_t. interrupt_wait: below 0, instructions until interrupts are served; 1: one waits."""
-MODULE = _make_structure_type(72, next=(0, "i8"), avr=(8, "i8"), n_irqs=(36, "i4"), irq=(40, "i8"))
-IRQ = _make_structure_type(40, name=(8, "i8"), level=(20, "u4"))
-VECTOR = _make_structure_type(
+AVR_MODULE_T = _make_structure_type(72, next=(0, "i8"), avr=(8, "i8"), n_irqs=(36, "i4"), irq=(40, "i8"))
+AVR_IRQ_T = _make_structure_type(40, name=(8, "i8"), level=(20, "u4"))
+AVR_INT_VECTOR_T = _make_structure_type(
     104, number=(0, "u1"), enable=(4, "u4"), flag=(8, "u4"), irq=(16, "i8"), pending=(96, "u1")
 )
-COMPARE = _make_structure_type(
-    136, vector=(0, VECTOR), timer=(104, "i8"), low=(112, "u2"), high=(114, "u2"), mode=(116, "u4"), pin=(120, "u4")
+AVR_TIMER_COMP_T = _make_structure_type(
+    136,
+    vector=(0, AVR_INT_VECTOR_T),
+    timer=(104, "i8"),
+    low=(112, "u2"),
+    high=(114, "u2"),
+    mode=(116, "u4"),
+    pin=(120, "u4"),
 )
-TIMER = _make_structure_type(
-    896, module=(0, MODULE), name=(72, "u1"), count_low=(84, "u2"), icr_low=(86, "u2"), count_high=(88, "u2"), icr_high=(90, "u2"),
+AVR_TIMER_T = _make_structure_type(
+    896, module=(0, AVR_MODULE_T), name=(72, "u1"), count_low=(84, "u2"), icr_low=(86, "u2"), count_high=(88, "u2"),
+    icr_high=(90, "u2"),
     modes=(92, ("u4", 4)), kinds=(108, ("u4", 16)), asynchronous=(184, "u4"), clocks=(188, ("u4", 4)),
-    shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), capture_edge=(240, "u4"), compare=(248, (COMPARE, 3)),
-    overflow=(656, VECTOR), capture=(760, VECTOR),
+    shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), capture_edge=(240, "u4"), compare=(248, (AVR_TIMER_COMP_T, 3)),
+    overflow=(656, AVR_INT_VECTOR_T), capture=(760, AVR_INT_VECTOR_T),
 )  # fmt: skip
-UART = _make_structure_type(
-    624, module=(0, MODULE), name=(72, "u1"), control=(84, "u2"), frame=(86, "u2"), rxen=(88, "u4"), transmitter=(92, "u4"),
+AVR_UART_T = _make_structure_type(
+    624, module=(0, AVR_MODULE_T), name=(72, "u1"), control=(84, "u2"), frame=(86, "u2"), rxen=(88, "u4"), transmitter=(92, "u4"),
     u2x=(96, "u4"), usbs=(100, "u4"), ucsz=(104, "u4"), ucsz2=(108, "u4"), ubrrl=(128, "u4"), ubrrh=(132, "u4"),
-    empty=(344, VECTOR),
+    empty=(344, AVR_INT_VECTOR_T),
 )  # fmt: skip
 """A UART. name: a digit; control, frame: addresses of UCSRnB and UCSRnC; empty: the interrupt of UDREn."""
 REGISTER_BEGIN = 32  # address of the first register that has functions
-MODULE_NAMES = "0123456789"
-_REGISTERS = {
+MODULE_DIGITS = "0123456789"
+_TIMER_REGISTERS = {
     "0": (0x46, 0, 0, 0x44, 0x45, 0x6E, 0x35, (0x47, 0x48)),
     "1": (0x84, 0x85, 0x86, 0x80, 0x81, 0x6F, 0x36, (0x88, 0x8A)),
     "2": (0xB2, 0, 0, 0xB0, 0xB1, 0x70, 0x37, (0xB3, 0xB4)),
@@ -97,14 +104,14 @@ def view_structure(address: int, structure: np.dtype) -> Any:
 
 def list_modules(avr: int) -> list[int]:
     """Return the addresses of an AVR's modules, such as its timers. The layout of the library must have been checked."""
-    modules, address = [], int(view_structure(avr, AVR)["modules"])
+    modules, address = [], int(view_structure(avr, AVR_T)["modules"])
     while address:
         modules.append(address)
-        address = int(view_structure(address, MODULE)["next"])
+        address = int(view_structure(address, AVR_MODULE_T)["next"])
     return modules
 
 
-def list_modules_of(library: ctypes.CDLL, avr: int, kind: str) -> list[int]:
+def list_modules_of_kind(library: ctypes.CDLL, avr: int, kind: str) -> list[int]:
     """Return the addresses of an AVR's modules of one kind.
 
     Args:
@@ -112,8 +119,8 @@ def list_modules_of(library: ctypes.CDLL, avr: int, kind: str) -> list[int]:
         avr: Address of the avr_t.
         kind: Kind of module in simavr's requests: "tmr" or "uar".
     """
-    irqs = {find_irq(library, avr, f"{kind}{name}") for name in MODULE_NAMES} - {0}
-    return [address for address in list_modules(avr) if int(view_structure(address, MODULE)["irq"]) in irqs]
+    irqs = {find_irq(library, avr, f"{kind}{name}") for name in MODULE_DIGITS} - {0}
+    return [address for address in list_modules(avr) if int(view_structure(address, AVR_MODULE_T)["irq"]) in irqs]
 
 
 def find_irq(library: ctypes.CDLL, avr: int, module: str) -> int:
@@ -128,8 +135,8 @@ def find_output_irq(timer: int, unit: int) -> int:
 
     The outputs are the last three IRQs of the timer; that of the capture pin precedes them.
     """
-    module = view_structure(timer, MODULE)
-    return int(module["irq"]) + (int(module["n_irqs"]) - 3 + unit) * IRQ.itemsize
+    module = view_structure(timer, AVR_MODULE_T)
+    return int(module["irq"]) + (int(module["n_irqs"]) - 3 + unit) * AVR_IRQ_T.itemsize
 
 
 def find_capture_irq(timer: int) -> int:
@@ -152,10 +159,10 @@ def check_layout(library: ctypes.CDLL) -> None:
     """
     name, handle = str(vars(library)["_name"]), library._handle
     if handle not in _checked:
-        _checked[handle] = _find_misfit(library)
+        _checked[handle] = _find_layout_mismatch(library)
     if misfit := _checked[handle]:
         raise StageError(
-            f"{name} is simavr {_guess_version(library)}, and exact timers need simavr {VERSIONS} (Debian: apt install "
+            f"{name} is simavr {_guess_version(library)}, and exact timers need simavr {SUPPORTED_VERSIONS} (Debian: apt install "
             f"libsimavr2): {misfit} is not where they have it."
         )
 
@@ -164,7 +171,7 @@ def _guess_version(library: ctypes.CDLL) -> str:
     """Return the version of the library in words, guessed from the position of the clock field, which is 1 MHz at first."""
     head = np.frombuffer(_read_memory(_make_atmega328p(library), 128) or b"", "<u4")
     places = [4 * int(k) for k in np.flatnonzero(head == _BEGIN_HZ)]
-    return _VERSIONS_BY_CLOCK.get(places[0] if places else 0, "of an unknown version")
+    return _VERSIONS_BY_CLOCK_OFFSET.get(places[0] if places else 0, "of an unknown version")
 
 
 def _make_atmega328p(library: ctypes.CDLL) -> int:
@@ -195,23 +202,23 @@ def _read_structure(address: int, structure: np.dtype) -> Any:
     return None if content is None else np.frombuffer(content, structure)[0]
 
 
-def _find_misfit(library: ctypes.CDLL) -> str:
+def _find_layout_mismatch(library: ctypes.CDLL) -> str:
     """Return the name of a part of simavr that has another layout than in versions 1.6 and 1.7, or "" if none has."""
     avr = _make_atmega328p(library)
     try:
-        return _find_misfit_of_core(library, avr) or _find_misfit_of_modules(library, avr)
+        return _find_core_layout_mismatch(library, avr) or _find_module_layout_mismatch(library, avr)
     finally:
         library["avr_terminate"](ctypes.c_void_p(avr))
 
 
-def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
+def _find_core_layout_mismatch(library: ctypes.CDLL, avr: int) -> str:
     """Run three instructions, compare their effects, and return the name of a part with another layout, or ""."""
     code = np.array([_NOP, _SEI, _NOP, _JUMP_TO_ITSELF], "<u2").tobytes()
     library["avr_loadcode"](ctypes.c_void_p(avr), code, len(code), 0)
-    states = [_read_structure(avr, AVR)]
+    states = [_read_structure(avr, AVR_T)]
     for _ in range(2):
         library["avr_run"](ctypes.c_void_p(avr))
-        states.append(_read_structure(avr, AVR))
+        states.append(_read_structure(avr, AVR_T))
     if any(state is None for state in states):
         return "avr_t"
     end = states[-1]
@@ -232,20 +239,20 @@ def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
     return next((f"avr_t.{name}" for name, (value, wanted) in expected.items() if value != wanted), "")
 
 
-def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
+def _find_module_layout_mismatch(library: ctypes.CDLL, avr: int) -> str:
     """Compare registers of timers and UART with the data sheet; return the name of a part with another layout, or ""."""
-    core = _read_structure(avr, AVR)
+    core = _read_structure(avr, AVR_T)
     modules: dict[int, int] = {}
     address = int(core["modules"])
     while address:
-        module = _read_structure(address, MODULE)
+        module = _read_structure(address, AVR_MODULE_T)
         if module is None or int(module["avr"]) != avr or len(modules) > N_REGISTERS:
             return "the list of modules"
         modules[int(module["irq"])] = address
         address = int(module["next"])
-    for name, wanted in _REGISTERS.items():
+    for name, wanted in _TIMER_REGISTERS.items():
         address = modules.get(find_irq(library, avr, f"tmr{name}"), 0)
-        timer = _read_structure(address, TIMER)
+        timer = _read_structure(address, AVR_TIMER_T)
         if timer is None:
             return f"timer {name}"
         registers = (
@@ -259,10 +266,10 @@ def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
         if any(int(at) != address for at in timer["compare"]["timer"]):
             return f"a compare unit of timer {name}"
         for unit, words in ((-1, b"icp"), (0, b"compa"), (2, b"compc")):
-            irq = _read_structure(find_output_irq(address, unit), IRQ)
+            irq = _read_structure(find_output_irq(address, unit), AVR_IRQ_T)
             if irq is None or words not in (_read_memory(int(irq["name"]), 20) or b""):
                 return f"an IRQ of timer {name}"
-    uart = _read_structure(modules.get(find_irq(library, avr, "uar0"), 0), UART)
+    uart = _read_structure(modules.get(find_irq(library, avr, "uar0"), 0), AVR_UART_T)
     if uart is None or (int(uart["control"]), unpack_register_address(uart["transmitter"])) != (_UCSRB, _UCSRB):
         return "the UART"
     return "" if unpack_register_address(uart["empty"]["flag"]) == _UCSRB - 1 else "an interrupt of the UART"

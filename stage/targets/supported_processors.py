@@ -18,11 +18,11 @@ AVRS = (
     "atmega8l attiny13 attiny13a attiny2313 attiny2313a attiny24 attiny25 attiny4313 attiny44 attiny45 attiny84 attiny85"
 ).split()
 """Names of the supported AVRs, as simavr spells them."""
-CORTEX = ("cortex-m0", "cortex-m3", "cortex-m4")
-X86 = ("8086",)
-SIMAVR = "simavr (Debian: apt install libsimavr2)"
-PYELFTOOLS = f"pyelftools ({format_install_command('targets')})"
-UNICORN = f"Unicorn ({format_install_command('targets')})"
+CORTEX_NAMES = ("cortex-m0", "cortex-m3", "cortex-m4")
+X86_NAMES = ("8086",)
+SIMAVR_REQUIREMENT = "simavr (Debian: apt install libsimavr2)"
+PYELFTOOLS_REQUIREMENT = f"pyelftools ({format_install_command('targets')})"
+UNICORN_REQUIREMENT = f"Unicorn ({format_install_command('targets')})"
 _SIMAVR_FILES = ("libsimavr.so.2", "libsimavr.so.1", "libsimavr.so", "libsimavr.dylib")
 
 
@@ -34,14 +34,14 @@ class NoEmulatorError(StageError):
 def load_simavr() -> ctypes.CDLL:
     """Load the library of simavr. Raises NoEmulatorError if simavr or pyelftools is missing."""
     if importlib.util.find_spec("elftools") is None:
-        raise NoEmulatorError(f"there is no {PYELFTOOLS}: install it.")
+        raise NoEmulatorError(f"there is no {PYELFTOOLS_REQUIREMENT}: install it.")
     for name in (*_SIMAVR_FILES, ctypes.util.find_library("simavr")):
         if name:
             try:
                 return ctypes.CDLL(name)
             except OSError:
                 continue
-    raise NoEmulatorError(f"there is no {SIMAVR}: install it.")
+    raise NoEmulatorError(f"there is no {SIMAVR_REQUIREMENT}: install it.")
 
 
 def has_simavr() -> bool:
@@ -60,7 +60,7 @@ def has_unicorn() -> bool:
 def check_unicorn() -> None:
     """Raise NoEmulatorError if Unicorn is not installed."""
     if not has_unicorn():
-        raise NoEmulatorError(f"there is no {UNICORN}: install it.")
+        raise NoEmulatorError(f"there is no {UNICORN_REQUIREMENT}: install it.")
 
 
 def check_mcu(mcu: str) -> str:
@@ -73,12 +73,12 @@ def check_mcu(mcu: str) -> str:
         ArgumentError: The processor is unknown; the message lists the known ones.
     """
     name = str(mcu).lower()
-    if name in AVRS or name in CORTEX or name in X86:
+    if name in AVRS or name in CORTEX_NAMES or name in X86_NAMES:
         return name
-    near = get_close_matches(name, [*AVRS, *CORTEX, *X86], 1)
+    near = get_close_matches(name, [*AVRS, *CORTEX_NAMES, *X86_NAMES], 1)
     rows = [
-        f"by {SIMAVR}{'' if has_simavr() else ', which is not here'}: {', '.join(AVRS)}",
-        f"by {UNICORN}{'' if has_unicorn() else ', which is not here'}: {', '.join((*CORTEX, *X86))}",
+        f"by {SIMAVR_REQUIREMENT}{'' if has_simavr() else ', which is not here'}: {', '.join(AVRS)}",
+        f"by {UNICORN_REQUIREMENT}{'' if has_unicorn() else ', which is not here'}: {', '.join((*CORTEX_NAMES, *X86_NAMES))}",
     ]
     hint = f" Is it {near[0]}?" if near else ""
     raise ArgumentError(f"mcu {mcu!r} is not known.{hint} Known are\n  {rows[0]}\n  {rows[1]}")

@@ -16,16 +16,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stage.board.board import Board
-from stage.board.bus.serial_core import LINES
-from stage.board.memory_mapped_ports import Window, parse_windows
+from stage.board.bus.serial_core import SERIAL_LINE_COUNT
+from stage.board.memory_mapped_ports import MemoryWindow, parse_windows
 from stage.board.native_host import Host
 from stage.board.pin_assignment import PinLine, parse_wiring
 from stage.board.thread_runner import PATIENCE_S, Program
 from stage.errors import ArgumentError
 from stage.targets import supported_processors
-from stage.targets.nvic import IRQS
+from stage.targets.nvic import IRQ_COUNT
 
-EXAMPLE = "0x40021000=0x300+0x40"
+MAP_EXAMPLE = "0x40021000=0x300+0x40"
 AVR_SERIAL_LACK = "this AVR has no UART, or simavr is of another version than 1.6, whose UART is known."
 CORTEX_SERIAL_LACK = (
     "the UARTs of Cortex-M parts differ by manufacturer and are not emulated. Put a 16550 on the bus (--device uart:0x3F8) and "
@@ -56,7 +56,7 @@ class TargetHost(Host):
         LibraryError, FileError: The file is no program for this processor.
     """
 
-    SERIAL_LINES = LINES
+    SERIAL_LINES = SERIAL_LINE_COUNT
 
     def __init__(  # noqa: PLR0913  each is one property of the processor or of its wiring
         self,
@@ -91,7 +91,7 @@ class TargetHost(Host):
             AVR_SERIAL_LACK
             if mcu in supported_processors.AVRS
             else CORTEX_SERIAL_LACK
-            if mcu in supported_processors.CORTEX
+            if mcu in supported_processors.CORTEX_NAMES
             else PC_SERIAL_LACK
         )
         self._connect_uarts(wiring)
@@ -138,7 +138,7 @@ def make_program(
     if lines:
         raise ArgumentError(f"--pins {lines[0]}: only an AVR's pins can be lines of an axis so far; {mcu} is none.")
     supported_processors.check_unicorn()
-    if mcu in supported_processors.CORTEX:
+    if mcu in supported_processors.CORTEX_NAMES:
         from stage.targets.cortex_m import CortexProgram
 
         windows, irq = _parse_cortex_maps(maps)
@@ -148,17 +148,19 @@ def make_program(
     return PcProgram(path, hz, _parse_pc_maps(maps), gdb)
 
 
-def _parse_cortex_maps(maps: list[str]) -> tuple[tuple[Window, ...], int | None]:
+def _parse_cortex_maps(maps: list[str]) -> tuple[tuple[MemoryWindow, ...], int | None]:
     """Parse texts such as 0x40021000=0x300+0x40 (a window) and irq=6 (the NVIC interrupt to which the board's line is wired)."""
     wires = [m for m in maps if m.strip().startswith("irq")]
     windows = parse_windows([m for m in maps if m not in wires])
     match = re.fullmatch(r"\s*irq\s*=\s*([0-9]+)\s*", wires[0]) if wires else None
-    if len(wires) > 1 or (wires and (match is None or int(match[1]) >= IRQS)):
+    if len(wires) > 1 or (wires and (match is None or int(match[1]) >= IRQ_COUNT)):
         raise ArgumentError(
-            f"--map {' '.join(wires)!r}: say once irq=0 to irq={IRQS - 1}, the interrupt that the line is."
+            f"--map {' '.join(wires)!r}: say once irq=0 to irq={IRQ_COUNT - 1}, the interrupt that the line is."
         )
     if not windows:
-        raise ArgumentError(f"--map: where in the memory of the processor are the chips? For example --map {EXAMPLE}.")
+        raise ArgumentError(
+            f"--map: where in the memory of the processor are the chips? For example --map {MAP_EXAMPLE}."
+        )
     return windows, int(match[1]) if match else None
 
 

@@ -16,12 +16,12 @@ from stage.targets.gdb_server import DebugServer
 
 _CODE, _INSN = 4, 2  # kinds of hooks
 _IN, _OUT = 218, 500  # of x86, as Unicorn numbers them
-MAX_LINE = 1000  # characters
+MAX_LINE_LENGTH = 1000  # characters
 PAGE_SIZE = 0x1000
 NEVER = 1 << 62
 QUANTUM_S = 2e-6
 INVALID_INSTRUCTION = 10
-INVALID = {
+ERROR_MESSAGES = {
     6: "it reads memory that is not there", 7: "it writes memory that is not there", 8: "it runs where there is no memory",
     INVALID_INSTRUCTION: "an instruction that this processor does not have", 12: "it writes to the flash",
     13: "it reads memory that cannot be read", 14: "it runs where no code may be",
@@ -31,10 +31,10 @@ INVALID = {
 _MEMORY_ERRORS = (6, 7, 8, 12, 13, 14)
 
 
-class _MachineRecord(ctypes.Structure):
+class _ProcessorRecord(ctypes.Structure):
     """MACHINE record as a ctypes structure, whose fields Python accesses faster than those of a NumPy record."""
 
-    _fields_ = tuple((name, ctypes.c_int64) for name in processor_clock_and_bus_cycles.MACHINE.names or ())
+    _fields_ = tuple((name, ctypes.c_int64) for name in processor_clock_and_bus_cycles.UNICORN_PROCESSOR.names or ())
 
 
 class Registers:
@@ -89,9 +89,9 @@ class UnicornProcessor:
         self._lib, self._constants = uclib, {**vars(arm_const), **vars(x86_const)}
         if model is not None:  # before anything else
             self.uc.ctl_set_cpu_model(model)
-        self._row = np.zeros(1, processor_clock_and_bus_cycles.MACHINE)
+        self._row = np.zeros(1, processor_clock_and_bus_cycles.UNICORN_PROCESSOR)
         self._flags = np.zeros(1, "i8")
-        t = self.record = _MachineRecord.from_buffer(self._row.data)
+        t = self.record = _ProcessorRecord.from_buffer(self._row.data)
         link = board.link
         t.own, t.uc, t.host, t.request = (
             self._row.ctypes.data,
@@ -166,7 +166,9 @@ class UnicornProcessor:
 
     def map_windows(self, windows: Any) -> None:
         """Map the pages of memory in which memory windows of the board lie."""
-        self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], processor_clock_and_bus_cycles.WINDOW)
+        self._windows = np.array(
+            [tuple(w) for w in windows] or [(0, 0, 0)], processor_clock_and_bus_cycles.MEMORY_WINDOW
+        )
         self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
         self.window_pages = sorted({page for w in windows for page in range(w.address & -PAGE_SIZE, w.end, PAGE_SIZE)})
         self._pages = np.array(
@@ -196,7 +198,7 @@ class UnicornProcessor:
         *lines, self._line = (self._line + text.replace("\r", "")).split("\n")
         for line in lines:
             self._log_line(line)
-        if len(self._line) > MAX_LINE:
+        if len(self._line) > MAX_LINE_LENGTH:
             self.flush_log_line()
 
     def flush_log_line(self) -> None:
@@ -268,7 +270,7 @@ class UnicornProcessor:
         """Run the program until Unicorn stops, and handle the reason for the stop."""
         gdb = self.gdb
         if gdb is not None:
-            gdb.prepare_engine_run()
+            gdb.prepare_processor_run()
         if self.ended:
             return
         try:
@@ -278,7 +280,7 @@ class UnicornProcessor:
         except self.error as error:
             if not self.ended and not self.fault:
                 raise self.make_error(self._describe_fault(error)) from None
-        debugged = gdb is not None and gdb.finish_engine_run()
+        debugged = gdb is not None and gdb.finish_processor_run()
         if self.record.outside:
             raise self.make_error(f"it touches address {int(self.record.outside) - 1:X}h, which no window has")
         if self.fault:
@@ -298,7 +300,7 @@ class UnicornProcessor:
 
     def _describe_fault(self, error: Any) -> str:
         """Describe an error of Unicorn for an error message."""
-        words = INVALID.get(error.errno, f"Unicorn says {error}")
+        words = ERROR_MESSAGES.get(error.errno, f"Unicorn says {error}")
         by_address = error.errno in _MEMORY_ERRORS and self._invalid_address is not None
         return f"{words}, address {self._invalid_address:X}h" if by_address else words
 

@@ -33,7 +33,7 @@ __all__ = [
     "assert_at", "assert_no_diagnostics", "assert_no_lost_steps", "assert_no_strays", "assert_path_within", "assert_pins",
     "assert_stopped", "chip_conformance", "power_stage_conformance",
 ]  # fmt: skip
-_WHERE = {
+_MODULE_BY_NAME = {
     "assert_path_within": "path_assertion",
     "chip_conformance": "conformance",
     "power_stage_conformance": "power_stage_promises",
@@ -42,7 +42,7 @@ _WHERE = {
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        return getattr(import_module(f"stage.testing.{_WHERE.get(name, 'assertions')}"), name)
+        return getattr(import_module(f"stage.testing.{_MODULE_BY_NAME.get(name, 'assertions')}"), name)
     raise AttributeError(f"module 'stage.testing' has no attribute {name!r}")
 
 

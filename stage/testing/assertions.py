@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from stage.chips.write_diagnostics import BUS_WRITE, describe_mistakes
+from stage.chips.write_diagnostics import BUS_WRITE, summarize_diagnostics
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS, format_lost_steps
@@ -159,7 +159,7 @@ def assert_no_diagnostics(stage: Stage) -> None:
     if mistakes:
         raise AssertionError(
             format_list(
-                f"{describe_mistakes(stage.chips)} that a reader of the data sheet would call a mistake:",
+                f"{summarize_diagnostics(stage.chips)} that a reader of the data sheet would call a mistake:",
                 [f"  {seconds:.9f} s  {text}" for seconds, text in sorted(mistakes)],
                 "The bus trace shows what came before each.",
             )

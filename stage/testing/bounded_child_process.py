@@ -8,7 +8,7 @@ import os
 import signal
 from collections.abc import Callable, Sequence
 
-NOT_FINISHED = "it has not ended after"
+TIME_LIMIT_MESSAGE = "it has not ended after"
 
 
 class BoundedChildProcess:
@@ -48,7 +48,7 @@ class BoundedChildProcess:
             text = _describe_end(self._child.exitcode or 0)
         else:
             text = (
-                f"{NOT_FINISHED} {seconds:g} s: does the core loop without end? (limit=None tries it in this process: "
+                f"{TIME_LIMIT_MESSAGE} {seconds:g} s: does the core loop without end? (limit=None tries it in this process: "
                 "there, with NUMBA_DISABLE_JIT=1, Ctrl-C shows the line)"
             )
         self.close()

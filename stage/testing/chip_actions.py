@@ -230,13 +230,13 @@ def find_pulse_clocks(chip: Chip, clocks: int) -> np.ndarray:
     """Return the clocks, counted from now, at which the pulses of the next `clocks` clocks begin. A copy of the chip runs.
 
     Raises:
-        StageError: Same as for `check_trace_room`.
+        StageError: Same as for `check_pulse_count`.
     """
-    check_trace_room(chip, clocks)
+    check_pulse_count(chip, clocks)
     return chip.make_replica().trace(clocks)["clock"] - chip.clock
 
 
-def check_trace_room(chip: Chip, clocks: int) -> None:
+def check_pulse_count(chip: Chip, clocks: int) -> None:
     """Check that `advance` counts every pulse by which `net` of the axes changes; otherwise a trace would have too little room.
 
     Raises:

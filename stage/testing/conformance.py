@@ -2,7 +2,7 @@
 
     from stage.testing import chip_conformance
 
-    chip_conformance(ACME1000)                         raises NotConforming, with each promise that is broken
+    chip_conformance(ACME1000)                         raises ConformanceError, with each promise that is broken
     test_acme1000 = chip_conformance.tests(ACME1000)   a line in the chip's own tests: a test a promise
 
 Programs are random: a failure prints its seed, and `chip_conformance(ACME1000, seed=...)` tries the same again.
@@ -18,7 +18,7 @@ from typing import Any
 
 from stage.chips import Chip, chip_class
 from stage.errors import ArgumentError, NativeError, StageError, unknown_name_error
-from stage.testing.bounded_child_process import NOT_FINISHED, BoundedChildProcess
+from stage.testing.bounded_child_process import TIME_LIMIT_MESSAGE, BoundedChildProcess
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 from stage.testing.promises import PROMISES
 
@@ -29,7 +29,7 @@ SHORT_TIME_LIMIT_S = 15.0
 """Limit for the other promises after one has not ended in time, because an endless loop would use up the limit for each."""
 
 
-class NotConforming(StageError, AssertionError):
+class ConformanceError(StageError, AssertionError):
     """Error of a chip that breaks promises.
 
     Attributes:
@@ -75,7 +75,7 @@ class ChipConformance:
             options: Arguments of the chip's constructor, for example clock_hz.
 
         Raises:
-            NotConforming: The chip breaks a promise.
+            ConformanceError: The chip breaks a promise.
             ArgumentError: A promise is unknown, or the limit is not a time.
         """
         __tracebackhide__ = True
@@ -86,7 +86,7 @@ class ChipConformance:
         try:
             getattr(chip_class.CORE.power_up, "c")  # noqa: B009  its library is built here, without a limit
         except NativeError as error:
-            raise NotConforming(f"{chip_class.__name__}: {error}", {"has_what_every_chip_has": str(error)}) from None
+            raise ConformanceError(f"{chip_class.__name__}: {error}", {"has_what_every_chip_has": str(error)}) from None
         except Exception:  # what is wrong with it, a promise says
             pass
         names = list(PROMISES if promises is None else promises)
@@ -102,7 +102,7 @@ class ChipConformance:
         if broken:
             raise _make_error(chip_class, seed, broken)
 
-    def tests(self, chip: type[Chip] | str, **options: Any) -> Callable:
+    def make_test_function(self, chip: type[Chip] | str, **options: Any) -> Callable:
         """Make a test function for pytest, with one test for each promise.
 
         Args:
@@ -122,7 +122,7 @@ class ChipConformance:
                     promises=[promise],
                     **{**options, "limit": _shorten_limit(options.get("limit", PROMISE_TIME_LIMIT_S), broken)},
                 )
-            except NotConforming as error:
+            except ConformanceError as error:
                 broken.update(error.broken)
                 raise
 
@@ -143,10 +143,12 @@ def _check_arguments(chip: Any, limit: Any) -> type[Chip]:
     return found
 
 
-def _make_error(chip_class: type[Chip], seed: int, broken: dict[str, str]) -> NotConforming:
+def _make_error(chip_class: type[Chip], seed: int, broken: dict[str, str]) -> ConformanceError:
     """Return the error that lists broken promises."""
     lines = "\n".join(f"  {_describe_promise(name)}\n    but: {report}" for name, report in broken.items())
-    return NotConforming(f"{chip_class.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
+    return ConformanceError(
+        f"{chip_class.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken
+    )
 
 
 def _describe_promise(name: str) -> str:
@@ -172,7 +174,7 @@ def _find_broken_promises(names: list[str], trial: PromiseTrial, limit: float | 
 
 def _shorten_limit(limit: float | None, broken: dict[str, str]) -> float | None:
     """Return the limit for the next promise, given those that are broken."""
-    hangs = limit is not None and any(answers.startswith(NOT_FINISHED) for answers in broken.values())
+    hangs = limit is not None and any(answers.startswith(TIME_LIMIT_MESSAGE) for answers in broken.values())
     return min(limit, SHORT_TIME_LIMIT_S) if limit is not None and hangs else limit
 
 

@@ -16,7 +16,7 @@ import pytest
 import stage as package
 from stage.board.bus.host_record import STRAY
 from stage.chips.cycle_descriptions import decode
-from stage.chips.write_diagnostics import describe_mistakes
+from stage.chips.write_diagnostics import summarize_diagnostics
 from stage.errors import StageError
 from stage.recording import Recording
 from stage.sim import plant
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 REPORTED_CYCLES = 20  # bus cycles in the report
 REPORTED_LOG_LINES = 10  # lines of the firmware's log
-MAX_FOLDER_NAME = 120  # characters of a folder's name
+MAX_FOLDER_NAME_LENGTH = 120  # characters of a folder's name
 PACKAGE_FOLDER = Path(package.__file__).parent
 
 
@@ -42,8 +42,8 @@ def choose_test_folder(config: pytest.Config, nodeid: str) -> Path:
         if option
         else config.rootpath / (read_setting(config, "output") or ".pulsestage")
     )
-    name = re.sub(r"[^\w.=+-]+", "_", nodeid.replace("/", ".").replace("::", ".")).strip("_")[:MAX_FOLDER_NAME]
-    if not re.fullmatch(r"[\w./:]+", nodeid) or len(nodeid) > MAX_FOLDER_NAME:  # something was lost
+    name = re.sub(r"[^\w.=+-]+", "_", nodeid.replace("/", ".").replace("::", ".")).strip("_")[:MAX_FOLDER_NAME_LENGTH]
+    if not re.fullmatch(r"[\w./:]+", nodeid) or len(nodeid) > MAX_FOLDER_NAME_LENGTH:  # something was lost
         digest = hashlib.sha256(nodeid.encode(errors="backslashreplace")).hexdigest()
         name += f"-{digest[:6]}"
     return where / name
@@ -117,7 +117,7 @@ class FailedTestFiles:
                 + (f", asserted: {on}" if on else "")
                 + describe_missing_current(axis)
             )
-        if mistakes := describe_mistakes(stage.chips):
+        if mistakes := summarize_diagnostics(stage.chips):
             lines.append(f"  {mistakes} that a data-sheet reader would call mistakes: assert_no_diagnostics(stage)")
         if self.board is not None:
             cycles = self.board.trace.lines()

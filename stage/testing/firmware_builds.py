@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from stage.board import build, platforms
-from stage.board.firmware_library import SOURCES, find_compiler
+from stage.board.firmware_library import SOURCE_SUFFIXES, find_compiler
 from stage.board.platforms.arduino_library_folder import LIBRARY_FILES
 from stage.errors import ArgumentError
 
@@ -30,10 +30,11 @@ def build_library(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> 
     sources, flags, platform, libraries = (
         arguments.pop(name) for name in ("sources", "flags", "platform", "libraries")
     )
-    if not any(source.suffix in SOURCES for source in sources):
+    if not any(source.suffix in SOURCE_SUFFIXES for source in sources):
         if len(sources) > 1 or flags or platform or libraries:
             raise ArgumentError(
-                f"firmware {', '.join(s.name for s in sources)}: one library without flags, or sources ({' '.join(SOURCES)})."
+                f"firmware {', '.join(s.name for s in sources)}: one library without flags, or sources "
+                f"({' '.join(SOURCE_SUFFIXES)})."
             )
         return sources[0]
     base = request.getfixturevalue("tmp_path_factory").getbasetemp()

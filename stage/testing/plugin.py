@@ -66,7 +66,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
     """Yield a new motion stage; @pytest.mark.stage(...) says of which model and chips."""
-    with _report_plainly():
+    with _report_without_traceback():
         from stage.testing import failed_test_files, marker_arguments
 
         arguments = marker_arguments.read_stage_arguments(request.node)
@@ -84,7 +84,7 @@ def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
 @pytest.fixture
 def board(request: pytest.FixtureRequest, stage: Stage) -> Board:
     """Put the chips of `stage` behind the ports of a host's bus; @pytest.mark.board(...) says where."""
-    with _report_plainly():
+    with _report_without_traceback():
         from stage.board import Board
         from stage.testing import marker_arguments
 
@@ -97,7 +97,7 @@ def board(request: pytest.FixtureRequest, stage: Stage) -> Board:
 @pytest.fixture
 def host(request: pytest.FixtureRequest, board: Board) -> Iterator[Host]:
     """Yield the firmware of @pytest.mark.firmware("driver.c"), ready to run on `board`; it is built once a session, with cc."""
-    with _report_plainly():
+    with _report_without_traceback():
         from stage.board import NativeHost
         from stage.testing import firmware_builds, marker_arguments
 
@@ -121,7 +121,7 @@ def ioc(request: pytest.FixtureRequest) -> Iterator[IocProcess]:
     caproto, the tests of the module are skipped.
     """
     pytest.importorskip("caproto", reason=f"needs the extra epics: {format_install_command('epics')}")
-    with _report_plainly():
+    with _report_without_traceback():
         from stage.testing import marker_arguments
         from stage.testing.ioc_process import IocProcess
 
@@ -131,7 +131,7 @@ def ioc(request: pytest.FixtureRequest) -> Iterator[IocProcess]:
 
 
 @contextmanager
-def _report_plainly() -> Iterator[None]:
+def _report_without_traceback() -> Iterator[None]:
     """Report an error of the user without the traceback of this package; skip the test without compiler or emulator."""
     from stage.errors import StageError
 

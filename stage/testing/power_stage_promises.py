@@ -6,11 +6,11 @@ from stage.chips.stepdir import STEPDIR
 from stage.chips.stepdir.power_stage_chips import make_power_stage_chip
 from stage.chips.stepdir.state import POSITION
 from stage.drives.motors import Drive
-from stage.drives.power_stages import TIMES, PowerStage, find_power_stage
+from stage.drives.power_stages import EDGE_TIME_FIELDS, PowerStage, find_power_stage
 
-REST_NS = 1_000_000_000
+TRIAL_INTERVAL_NS = 1_000_000_000
 """Time between two trials, longer than any that a power stage may demand."""
-COUNTS = 1 << 32
+POSITION_VALUE_COUNT = 1 << 32
 """Number of values of POSITION."""
 
 
@@ -36,7 +36,7 @@ def power_stage_conformance(power_stage: str | PowerStage) -> None:
         if levels:
             assert power_stage.find_microsteps(levels) == microsteps, f"{power_stage.name}: {levels} selects twice"
     for which, seconds in enumerate(power_stage.times):
-        _check_time(power_stage, which, round(seconds * 1e9), supply)
+        _check_min_time(power_stage, which, round(seconds * 1e9), supply)
 
 
 def _check_evidence(power_stage: PowerStage) -> None:
@@ -46,11 +46,11 @@ def _check_evidence(power_stage: PowerStage) -> None:
         assert source[:1] in ("S", "I"), f"{power_stage.name}: evidence of {name} begins with S or I, not {source!r}"
 
 
-def _check_time(power_stage: PowerStage, which: int, min_time_ns: int, supply: float) -> None:
+def _check_min_time(power_stage: PowerStage, which: int, min_time_ns: int, supply: float) -> None:
     """Check that a shortest time is demanded to the nanosecond."""
     microsteps = min(power_stage.microsteps)
-    name = f"{power_stage.name}: {TIMES[which]} of {getattr(power_stage, TIMES[which]):g} s"
-    assert min_time_ns == round(getattr(power_stage, TIMES[which]) * 1e9), f"{name} is not demanded"
+    name = f"{power_stage.name}: {EDGE_TIME_FIELDS[which]} of {getattr(power_stage, EDGE_TIME_FIELDS[which]):g} s"
+    assert min_time_ns == round(getattr(power_stage, EDGE_TIME_FIELDS[which]) * 1e9), f"{name} is not demanded"
     for drops_edges in (False, True):
         drive = Drive(power_stage=power_stage, microsteps=microsteps, bus_voltage=supply, drops_edges=drops_edges)
         for short in (0, 1) if min_time_ns else (0,):
@@ -58,7 +58,7 @@ def _check_time(power_stage: PowerStage, which: int, min_time_ns: int, supply: f
             axis.fit_drive(drive)
             steps = _make_step(axis, which, min_time_ns - short)
             keys = [diagnostic.key for diagnostic in axis.diagnostics]
-            expected = [f"{TIMES[which].replace('_', '-')}-time"] if short else []
+            expected = [f"{EDGE_TIME_FIELDS[which].replace('_', '-')}-time"] if short else []
             assert keys == expected, f"{name}: {short} ns less gives {keys}"
             assert steps == (0 if short and drops_edges else 1), f"{name}: {short} ns less makes {steps} steps"
 
@@ -74,18 +74,18 @@ def _make_step(axis: STEPDIR, which: int, time_ns: int) -> int:
     Returns:
         Number of steps that the axis has counted.
     """
-    times = [REST_NS] * len(TIMES)
+    times = [TRIAL_INTERVAL_NS] * len(EDGE_TIME_FIELDS)
     times[which] = time_ns
     high, low, setup, hold, enable_setup = times
     axis.pins.enable = False
-    axis.advance(REST_NS)
+    axis.advance(TRIAL_INTERVAL_NS)
     axis.pins.dir = True
-    axis.advance(REST_NS)
+    axis.advance(TRIAL_INTERVAL_NS)
     if which == 1:  # STEP has been low for a short time only after another edge
         axis.pins.step = True
-        axis.advance(REST_NS)
+        axis.advance(TRIAL_INTERVAL_NS)
         axis.pins.enable = True
-        axis.advance(REST_NS)
+        axis.advance(TRIAL_INTERVAL_NS)
         axis.pins.step = False
         axis.advance(low)
     else:
@@ -99,6 +99,8 @@ def _make_step(axis: STEPDIR, which: int, time_ns: int) -> int:
     axis.advance(min(high, hold))
     if which == 3:
         axis.pins.dir = not axis.pins.dir
-        axis.advance(REST_NS)
+        axis.advance(TRIAL_INTERVAL_NS)
     axis.pins.step = False
-    return min((axis.read(POSITION) - before) % COUNTS, (before - axis.read(POSITION)) % COUNTS)
+    return min(
+        (axis.read(POSITION) - before) % POSITION_VALUE_COUNT, (before - axis.read(POSITION)) % POSITION_VALUE_COUNT
+    )

@@ -42,7 +42,7 @@ class PromiseTrial:
     seed: int
     programs: int
 
-    def seeded_generators(self) -> Iterator[np.random.Generator]:
+    def make_seeded_generators(self) -> Iterator[np.random.Generator]:
         """Yield a random number generator for each program, with a seed of its own."""
         for k in range(self.programs):
             yield np.random.default_rng([self.seed, k])

@@ -57,7 +57,7 @@ def run_programs(chip_class: type[Chip], options: dict[str, Any], seed: int, pro
     """Return, for each program, the chip's answer and state after each act."""
     trial = PromiseTrial(chip_class, lambda: chip_class(**options), seed, programs)
     found = []
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip, answers = trial.make(), []
         for act in trial.draw_program(rng):
             answer = perform_act(chip, act)

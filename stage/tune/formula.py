@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from stage.drives.dynamometer import compute_closed_form, compute_natural_frequency, find_pull_in_rate
+from stage.drives.dynamometer import compute_closed_form_torque, compute_natural_frequency, find_pull_in_rate
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.firmware import Axis, Profile
@@ -112,7 +112,9 @@ class Load:
             limit = self.drive.current_limit
             return thrust if limit is None else np.minimum(thrust, limit * motor.torque_constant * self.gear)
         rpm = speed * self.gear * 60 / (2 * np.pi)
-        return compute_closed_form(self.drive.motor, self.drive.bus_voltage, self.drive.amplitude, rpm) * self.gear
+        return (
+            compute_closed_form_torque(self.drive.motor, self.drive.bus_voltage, self.drive.amplitude, rpm) * self.gear
+        )
 
     @property
     def inertia_at_rotor(self) -> float:

@@ -14,7 +14,7 @@ from stage.tune.register_planners import MovePlan
 from stage.tune.task import MoveCase
 
 DEFAULT_PROOF_MOVES = 96
-PAYLOAD_STEPS = 8  # payloads that are tested at once
+PAYLOADS_PER_ROUND = 8  # payloads that are tested at once
 ANGLES_PER_PAYLOAD = 6
 MAX_MARGIN_FACTOR = 4  # heaviest tested payload, in margins; one of the steps is exactly the margin
 
@@ -82,7 +82,7 @@ def prove_plans(
     """
     outcomes = runner.run_moves(plans, cases, time_limit)
     within_payload = runner.task.is_within_payload(list(cases))
-    good = outcomes.is_good(runner.task, within_payload)
+    good = outcomes.is_passed(runner.task, within_payload)
     return [
         Proof(
             len(cases),
@@ -120,15 +120,15 @@ def measure_spare_payload(
     task = runner.task
     low, high = 0.0, MAX_MARGIN_FACTOR * float(task.margin or 0.1 * (task.payload + task.moving_mass))
     for _ in range(2):
-        spare_payloads = low + (high - low) / PAYLOAD_STEPS * np.arange(1, PAYLOAD_STEPS + 1)
-        offsets = rng.uniform(-0.5, 0.5, (PAYLOAD_STEPS, ANGLES_PER_PAYLOAD)) * task.pulses_per_electrical_turn
+        spare_payloads = low + (high - low) / PAYLOADS_PER_ROUND * np.arange(1, PAYLOADS_PER_ROUND + 1)
+        offsets = rng.uniform(-0.5, 0.5, (PAYLOADS_PER_ROUND, ANGLES_PER_PAYLOAD)) * task.pulses_per_electrical_turn
         cases = [
             MoveCase(task.payload + float(kg), float(offset), 1 - 2 * (j % 2), machine)
             for kg, row in zip(spare_payloads, offsets, strict=True)
             for j, (offset, machine) in enumerate(zip(row, machines, strict=True))
         ]
         in_step = runner.run_moves([plan], cases, time_limit).in_step
-        passed = in_step.reshape(PAYLOAD_STEPS, ANGLES_PER_PAYLOAD).all(axis=1)
+        passed = in_step.reshape(PAYLOADS_PER_ROUND, ANGLES_PER_PAYLOAD).all(axis=1)
         if passed.all():
             return high, low == 0.0
         first = int(np.argmin(passed))

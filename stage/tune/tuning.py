@@ -30,13 +30,13 @@ FORMULA_CHOICES = (
     *(FormulaChoice(SAFETY_FACTOR, ratio) for ratio in RATE_RATIOS),
 )
 """Choices in the order in which they are tried, the fastest first."""
-TRIED_TEXT = (
+FORMULA_LIMITS_TEXT = (
     f"even with a safety factor of {SAFETY_FACTOR * SAFETY_MULTIPLIERS[-1]:g}, or at {RATE_RATIOS[-1]:g} of the rates"
 )
 CANDIDATES_PER_ROUND = 8  # search results that are tested together with unseen moves
 MAX_CANDIDATE_ROUNDS = 3
 MAX_HARD_CASES = 6  # cases in which most of the failed trials failed: the others must pass them
-POOL_SIZE = 4 * DEFAULT_PROOF_MOVES  # machines of which the weakest make the moves of the search
+MACHINE_POOL_SIZE = 4 * DEFAULT_PROOF_MOVES  # machines of which the weakest make the moves of the search
 LEADER_CASE_COUNT = 18  # further cases for a trial that leads
 SEARCH_MARGIN_FACTOR = 1.25  # the search keeps more than the margin, so that fewer of its results fail the proof
 ANGLES_PER_PAYLOAD = 2  # rotor angles of each payload in a trial
@@ -146,7 +146,7 @@ def _draw_cases(planner: MovePlanner, seed: int, moves: int) -> ProofCases:
     trial_rng, leader_rng, candidate_rng, proof_rng = (np.random.default_rng(s) for s in seeds)
     unseen_count = max(moves // 4, 1)
     draw = partial(draw_machines, axis, np.random.default_rng(machine_seed))
-    weak, proving = sorted(draw(POOL_SIZE), key=planner.compute_thrust_left), draw(moves)
+    weak, proving = sorted(draw(MACHINE_POOL_SIZE), key=planner.compute_thrust_left), draw(moves)
     weakest = sorted(proving, key=planner.compute_thrust_left)
     return ProofCases(
         task.build_corner_cases(trial_rng, ANGLES_PER_PAYLOAD, 1.0, weak),
@@ -213,7 +213,7 @@ def _select_passing_trials(runner: MoveRunner, trials: Sequence[Trial], cases: S
         return list(trials)
     time_limit = compute_time_limit(max(trial.max_time for trial in trials), runner.task.hold)
     outcomes = runner.run_moves([trial.plan for trial in trials if trial.plan is not None], cases, time_limit)
-    good = outcomes.is_good(runner.task, runner.task.is_within_payload(list(cases)))
+    good = outcomes.is_passed(runner.task, runner.task.is_within_payload(list(cases)))
     return [trial for trial, passes in zip(trials, good, strict=True) if passes.all()]
 
 
@@ -261,26 +261,27 @@ def _find_first_passing_formula_plan(
         time_limit = _estimate_time_limit(task, plan)
         for factor in SETTLING_TIME_FACTORS:
             outcomes = runner.run_moves([plan], cases, factor * time_limit)
-            if outcomes.is_good(task, within_payload).all():
+            if outcomes.is_passed(task, within_payload).all():
                 max_time = float(np.max(outcomes.arrival_times[0, within_payload]))
                 return choice, plan, compute_time_limit(max_time, task.hold)
             if not outcomes.in_step.all():
                 break
     if not outcomes.in_step.all():
         raise StageError(
-            f"axis {task.axis} with up to {task.payload_with_margin:g} kg: the formula's registers lose steps, {TRIED_TEXT}. "
+            f"axis {task.axis} with up to {task.payload_with_margin:g} kg: the formula's registers lose steps, "
+            f"{FORMULA_LIMITS_TEXT}. "
             f"{_describe_largest_payload(runner, planner, cases)}"
         )
     if np.isnan(outcomes.arrival_times[0, within_payload]).any():
         tolerance = task.format_length(task.tolerance or 0.0)
         raise StageError(
             f"axis {task.axis}: the formula's moves keep step, but do not come to rest within {tolerance} of the goal in "
-            f"{SETTLING_TIME_FACTORS[-1] * time_limit:.2g} s, {TRIED_TEXT}: give more room, --settle (tolerance=, hold=)."
+            f"{SETTLING_TIME_FACTORS[-1] * time_limit:.2g} s, {FORMULA_LIMITS_TEXT}: give more room, --settle (tolerance=, hold=)."
         )
     overshoot = round(float(outcomes.overshoots[0, within_payload].max()), 7)
     raise StageError(
         f"axis {task.axis}: the formula's moves keep step, but go {task.format_length(overshoot)} beyond the goal, "
-        f"{TRIED_TEXT}: allow more, --overshoot (overshoot=)."
+        f"{FORMULA_LIMITS_TEXT}: allow more, --overshoot (overshoot=)."
     )
 
 

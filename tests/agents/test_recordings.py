@@ -26,9 +26,9 @@ def test_a_host_reads_the_profile_of_its_last_move(make_box):
     box = make_box()
     assert "record" not in box.tools
     with pytest.raises(StageError, match="Nothing has been recorded"):
-        box.recordings.describe_last_recording()
+        box.recordings.tabulate_last_recording()
     box.call("move", {"axis": "x", "pulses": 1000})
-    columns = box.recordings.describe_last_recording()["columns"]
+    columns = box.recordings.tabulate_last_recording()["columns"]
     assert columns["pulses"][-1] == 1000
     assert len(columns["seconds"]) == len(columns["pulses"]) <= MAX_SAMPLES
 
@@ -36,7 +36,7 @@ def test_a_host_reads_the_profile_of_its_last_move(make_box):
 def test_who_sees_the_truth_records_it(recording):
     finished = record_move(recording)
     assert finished.data["seconds"] > 0.1
-    columns = recording.recordings.describe_last_recording()["columns"]
+    columns = recording.recordings.tabulate_last_recording()["columns"]
     assert columns
     assert all(len(c) <= MAX_SAMPLES for c in columns.values())
 
@@ -76,7 +76,7 @@ def test_recorded_pulses_of_a_move_begin_at_zero(make_box):
     box = make_box()
     for pulses in (1000, -300):
         box.call("move", {"axis": "x", "pulses": pulses})
-        columns = box.recordings.describe_last_recording()["columns"]
+        columns = box.recordings.tabulate_last_recording()["columns"]
         assert (columns["pulses"][0], columns["pulses"][-1]) == (0, pulses)
 
 
@@ -101,9 +101,9 @@ def test_a_recording_continues_from_call_to_call(recording):
         assert recording.stage.recording is not None
         assert "The recording still runs" in recording.call("save_recording", {"name": "a.vcd"}).text
     assert recording.call("record", {"on": False}).data["seconds"] == pytest.approx(0.3, abs=0.01)
-    assert "seconds" in recording.recordings.describe_last_recording(), "of the recording"
+    assert "seconds" in recording.recordings.tabulate_last_recording(), "of the recording"
     recording.call("move", {"axis": "x", "pulses": 10})
-    assert recording.recordings.describe_last_recording()["axis"] == "x", "a move since then is the last"
+    assert recording.recordings.tabulate_last_recording()["axis"] == "x", "a move since then is the last"
 
 
 def test_the_end_of_a_session_ends_the_recording_that_it_has_started_and_no_other(make_box):

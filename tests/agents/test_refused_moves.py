@@ -78,11 +78,11 @@ def test_the_last_recording_is_of_the_last_move(make_box):
     box.call("record", {"on": True})
     box.call("move", {"axis": "x", "pulses": 100})
     box.call("record", {"on": False})
-    assert "seconds" in saved.describe_last_recording()
+    assert "seconds" in saved.tabulate_last_recording()
     box.call("move", {"axis": "y", "pulses": 200})
-    assert saved.describe_last_recording()["axis"] == "y"
+    assert saved.tabulate_last_recording()["axis"] == "y"
     box.call("line", {"distances": {"x": "1mm", "y": "2mm"}})
-    assert {n: a["columns"]["pulses"][-1] for n, a in saved.describe_last_recording()["axes"].items()} == {
+    assert {n: a["columns"]["pulses"][-1] for n, a in saved.tabulate_last_recording()["axes"].items()} == {
         "x": 320,
         "y": 640,
     }

@@ -154,7 +154,7 @@ def test_a_call_of_another_form_is_answered_as_one_of_wrong_arguments(method, nu
         return "passed on"
 
     created = asyncio.run(
-        mcp_handlers._check_call_form(SimpleNamespace(method=method, request_id=number, params=params), after)
+        mcp_handlers._answer_malformed_call(SimpleNamespace(method=method, request_id=number, params=params), after)
     )
     if message is None:
         assert created == "passed on"

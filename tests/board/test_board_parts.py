@@ -6,7 +6,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.devices import Latch, device_options
+from stage.board.devices import OutputLatch, device_options
 from stage.chips import MCX304, PCL240K
 from stage.errors import ArgumentError
 
@@ -37,7 +37,7 @@ def test_a_chip_of_several_axes_has_its_first_port_by_any_of_them():
 def test_a_device_pulls_from_the_nearest_nanosecond_on():
     """times whose product with 1e9 is a little less than a whole number; then now, and off"""
     board = Board(Stage("xy", visuals=False))
-    latch = board.attach_device(Latch(), 0x378)
+    latch = board.attach_device(OutputLatch(), 0x378)
     cut = [ns for ns in range(1, 10_000) if int(ns / 1e9 * 1e9) != ns]
     assert cut, "some of them are not whole numbers"
     for ns in (*range(1, 100), *cut):
@@ -75,6 +75,6 @@ def test_an_occupied_port_is_refused_with_free_ports(base, free):
     with pytest.raises(
         ArgumentError, match=rf"port {base + 1:03X}h is taken: .*Choose ports from {free:03X}h on"
     ) as refused:
-        board.attach_device(Latch(), base + 1)
+        board.attach_device(OutputLatch(), base + 1)
     assert "x address 1" in str(refused.value)
-    assert board.attach_device(Latch(), free).ports == (free,)
+    assert board.attach_device(OutputLatch(), free).ports == (free,)

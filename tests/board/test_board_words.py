@@ -15,15 +15,15 @@ from stage.board.bus.interrupt_controller import (
     ANY_INTERRUPT_LINE,
     FIRST_INTERRUPT_LINE,
     FIRST_PYTHON_TIMER,
-    FIRST_SOFTWARE,
+    FIRST_SOFTWARE_SOURCE,
     FIRST_TIMER,
-    HIGHEST,
+    HIGHEST_LEVEL,
 )
 from stage.board.bus_layouts import read_layout
 from stage.board.devices import HCTL2016, Encoder
 from stage.board.interrupt_hooks import format_source_name
 from stage.board.isolation.traps.memory_windows import MemoryWindows
-from stage.board.memory_mapped_ports import ADDRESS_LIMIT, Window, parse_windows
+from stage.board.memory_mapped_ports import ADDRESS_LIMIT, MemoryWindow, parse_windows
 from stage.chips import HCTL1100, MCX304
 from stage.errors import ArgumentError
 from stage.sim.encoder import choose_encoders
@@ -45,7 +45,7 @@ def test_the_trace_names_the_address_in_a_latch():
 
 def test_names_of_interrupts():
     lines = (0, FIRST_INTERRUPT_LINE, FIRST_INTERRUPT_LINE + 61)
-    assert [format_source_name(n) for n in (*lines, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
+    assert [format_source_name(n) for n in (*lines, FIRST_SOFTWARE_SOURCE, FIRST_SOFTWARE_SOURCE + 1)] == [
         "the interrupt line", "line 0", "line 61", "software interrupt 0", "software interrupt 1",
     ]  # fmt: skip
     assert [format_source_name(n) for n in (FIRST_TIMER, FIRST_TIMER + 1, FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + 3)] == [
@@ -55,7 +55,7 @@ def test_names_of_interrupts():
 
 def test_a_timer_of_a_board_is_switched_off_by_a_period_of_0_and_keeps_parts_of_a_us():
     board, at = Board(Stage("xy", visuals=False)), []
-    board.on_timer(1.5006, lambda: at.append(board.stage.now), n=3, level=HIGHEST)
+    board.on_timer(1.5006, lambda: at.append(board.stage.now), n=3, level=HIGHEST_LEVEL)
     board.delay_us(5)
     assert at == [1501, 3002, 4503]
     assert "timer 3 of Python" in str(board.trace)
@@ -67,7 +67,7 @@ def test_a_timer_of_a_board_is_switched_off_by_a_period_of_0_and_keeps_parts_of_
     board.on_timer(2, lambda: at.append(board.stage.now))  # from now on
     board.delay_us(2)
     assert at[3:] == [13000]
-    for n, level in ((4, 1), (-1, 1), (0, 0), (0, HIGHEST + 1)):
+    for n, level in ((4, 1), (-1, 1), (0, 0), (0, HIGHEST_LEVEL + 1)):
         with pytest.raises(ArgumentError, match=r"timers of a board|levels of hooks"):
             board.on_timer(5, print, n=n, level=level)
 
@@ -100,10 +100,10 @@ def test_a_layout_like_another_for_another_chip_and_the_last_address_of_one(tmp_
 
 
 def test_windows_end_with_the_last_port_and_address():
-    assert parse_windows((ADDRESS_LIMIT - 1, 0, 1)) == (Window(ADDRESS_LIMIT - 1, 0, 1),)
+    assert parse_windows((ADDRESS_LIMIT - 1, 0, 1)) == (MemoryWindow(ADDRESS_LIMIT - 1, 0, 1),)
     assert parse_windows((0x10000, bus_layouts.MAX_PORTS - 1, 1))[0].length == 1
     for wrong in (((True, 1, 2),), ((1.0, 1, 2),), ((1, 2, 3, 4),), (True, 1, 2, 3)):
-        with pytest.raises(ArgumentError, match="a window is a Window"):
+        with pytest.raises(ArgumentError, match="a window is a MemoryWindow"):
             parse_windows(wrong)
     for wrong, message in (((ADDRESS_LIMIT, 0, 1), "addresses are 0 to"), ((0x1000, -1, 1), "ports are 0 to")):
         with pytest.raises(ArgumentError, match=message):

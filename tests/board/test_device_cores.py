@@ -340,10 +340,10 @@ def test_a_batch_refuses_numbers_just_beyond_their_bounds():
 def test_a_read_by_a_bus_of_16_bits_is_no_write():
     """inpw(port) of a device on one half of a bus of 16 bits: OUT16 is 3, IN16 is 2"""
     from stage.board.bus.host_record import IN16, OUT16
-    from stage.board.devices import Latch
+    from stage.board.devices import OutputLatch
 
     latch, counter, axis, line = (
-        DetachedDevice(Latch()),
+        DetachedDevice(OutputLatch()),
         ls7166(7),
         DetachedDevice(HCTL2016(Encoder("x", per_metre=1e6))),
         uart(),

@@ -19,7 +19,7 @@ from stage.board.devices import (
     CDevice,
     Device,
     Encoder,
-    Latch,
+    OutputLatch,
     PythonDevice,
     make_device,
     user_devices,
@@ -36,7 +36,7 @@ def board():
         (0x320, HCTL2000(Encoder("x", per_metre=2e6, zero=0.0))),
         (0x340, LS7166(Encoder("x", per_metre=2e6))),
         (0x3F8, UART()),
-        (0x378, Latch()),
+        (0x378, OutputLatch()),
     ):
         board.attach_device(device, port)
     return board
@@ -205,9 +205,9 @@ def test_a_pseudo_terminal_has_what_is_written_from_then_on(board):
         board.out8(0x3F8 + n, value)
     board.out8(0x3F8, ord("a"))
     board.delay_us(200)
-    terminal = os.open(uart.pty(), os.O_RDWR | os.O_NOCTTY)
+    terminal = os.open(uart.open_pty(), os.O_RDWR | os.O_NOCTTY)
     try:
-        assert (uart.pty(), uart.access) == (os.ttyname(terminal), 0)
+        assert (uart.open_pty(), uart.access) == (os.ttyname(terminal), 0)
         board.out8(0x3F8, ord("b"))
         assert os.read(terminal, 9) == b"b"
         os.write(terminal, b"k" * 200)

@@ -17,7 +17,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build, crash_report, temporary_folders
-from stage.board.devices import CDevice, Device, Encoder, Latch
+from stage.board.devices import CDevice, Device, Encoder, OutputLatch
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError, StageError
 from stage.support.files import FileError
@@ -263,7 +263,7 @@ def test_devices_and_chips_share_no_port_and_say_who_has_it(adc):
     with pytest.raises(ArgumentError, match="width=32"):
         board.add_device(0x600, width=32)
     with pytest.raises(ArgumentError, match="it has 1 ports, and 2"):
-        board.attach_device(Latch(), [0x600, 0x601])
+        board.attach_device(OutputLatch(), [0x600, 0x601])
     with pytest.raises(ArgumentError, match="is on a board already"):
         board.attach_device(board.devices[0], 0x600)
     with pytest.raises(ArgumentError, match="unknown axis 'q'"):

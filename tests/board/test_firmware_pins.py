@@ -9,7 +9,7 @@ import pytest
 from stage import ArgumentError, Stage, firmware
 from stage.board import Board, HostError, LibraryError, NativeHost
 from stage.cli import main
-from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
+from stage.sim.pin_edge_player import PIN_EDGE, play_pin_edges
 from stage.testing import assert_no_diagnostics, assert_no_lost_steps, assert_stopped
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no cc")
@@ -39,7 +39,7 @@ def test_each_write_of_a_step_pin_takes_a_bus_cycle_and_makes_its_edge_at_the_en
     stage = host.board.stage
     assert (result.cycles, stage.now) == (40, 20 * 100_000)
     reference = Stage("xy", chips="stepdir", drives="a4988", bus_cycle=500e-9)
-    edges = np.zeros((20, 2), LINE_EDGE)
+    edges = np.zeros((20, 2), PIN_EDGE)
     edges["time"] = 500 + 100_000 * np.arange(20)[:, None] + [0, 3_500]
     edges["pins"], edges["levels"] = 1, [1, 0]
     play_pin_edges(reference, edges.ravel(), stage.now)
@@ -92,7 +92,7 @@ def test_a_hook_is_called_at_the_change_of_a_switch(run, mode, levels, isolated)
         return
     reference = Stage("xy", chips="stepdir", drives="a4988", bus_cycle=500e-9)
     reference.place(x=0.1495)
-    edges = np.zeros((400, 2), LINE_EDGE)
+    edges = np.zeros((400, 2), PIN_EDGE)
     edges["time"] = 1000 + 300_000 * np.arange(400)[:, None] + [0, 5_500]
     edges["pins"], edges["levels"] = 1, [1, 0]
     (first,) = play_pin_edges(reference, edges.ravel(), 120_000_000).switch_edges

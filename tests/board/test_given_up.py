@@ -170,13 +170,13 @@ def test_a_stage_that_the_process_cannot_take_over_says_why():
 
 def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     """for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5);
-    The room that EDGES_A_WINDOW keeps was written over."""
+    The room that MAX_EDGES_PER_WINDOW keeps was written over."""
     b = board("xyz_servo", HCTL1100)
-    room = 3 * engine_records.EDGES_A_WINDOW + 20
+    room = 3 * engine_records.MAX_EDGES_PER_WINDOW + 20
     b.link.record["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten
     run_on(b, "PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5); return 0; }").run()
     used = np.flatnonzero(b.stage.state.edges["clock"])[-1]
-    assert used < room - engine_records.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
+    assert used < room - engine_records.MAX_EDGES_PER_WINDOW, f"{room} records, {used + 1} used"
 
 
 def test_hooks_work_after_firmware_was_abandoned_within_a_hook():

@@ -274,10 +274,10 @@ def test_sources_are_known_by_their_ends_and_one_library_is_enough(tmp_path):
     assert firmware_library.are_sources(["a.c", "b.cpp", "s.ino"])
     assert not firmware_library.are_sources(["a.c", "b.so"])
     with pytest.raises(firmware_library.ArgumentError, match=r"a\.so, b\.so: give one library, or sources only"):
-        firmware_library.find_library(["a.so", "b.so"])
+        firmware_library.find_or_build_library(["a.so", "b.so"])
     with pytest.raises(
         firmware_library.ArgumentError, match=r"platform='dos': it says how sources are built, and a\.so is built"
     ):
-        firmware_library.find_library("a.so", platform="dos")
+        firmware_library.find_or_build_library("a.so", platform="dos")
     with pytest.raises(firmware_library.ArgumentError, match="nothing to build"):
         firmware_library.build([])

@@ -9,7 +9,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.devices import HCTL2000, HCTL2016, LS7166, UART, Encoder, Latch, make_device
+from stage.board.devices import HCTL2000, HCTL2016, LS7166, UART, Encoder, OutputLatch, make_device
 
 BAUD = ((3, 0x83), (0, 1), (1, 0), (3, 0x03), (2, 0x01))  # 115200, 8 bits, no parity, FIFOs
 CHARACTER = 86805  # ns
@@ -77,7 +77,7 @@ def test_counters_count_the_true_position_at_the_moment_of_the_cycle(moving):
 def test_a_latch_reads_back_and_calls_when_it_changes():
     stage, calls = Stage("xy", visuals=False), []
     board = Board(stage, devices=["latch:0x378"])
-    board.attach_device(Latch(lambda before, after: calls.append((stage.now, before, after))), 0x379)
+    board.attach_device(OutputLatch(lambda before, after: calls.append((stage.now, before, after))), 0x379)
     for port in (0x378, 0x379):
         for value in (5, 5, 0x80):
             board.out8(port, value)
@@ -198,7 +198,7 @@ def test_interrupts_of_a_uart_come_at_their_nanosecond_by_priority_and_trigger(l
 @pytest.mark.skipif(not hasattr(os, "ttyname"), reason="no pseudo-terminals")
 def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
     board, uart = line
-    terminal = os.open(uart.pty(), os.O_RDWR | os.O_NOCTTY)
+    terminal = os.open(uart.open_pty(), os.O_RDWR | os.O_NOCTTY)
     os.write(terminal, b"hi")
     got = b""
     for _ in range(2000):

@@ -112,10 +112,10 @@ def test_each_field_that_a_crashed_process_left_is_checked(part, field, value, s
     shared = SharedMemory(tmp_path / "shared", b, create=True)
     shared.edges[:4]["kind"], shared.cycles[:4]["count"] = 0, 1
     shared.record["traced"] = 4
-    shared.check_notes(b, 4, 0, 1000, ended=True)
+    shared.check_records(b, 4, 0, 1000, ended=True)
     getattr(shared, part)[:][field] = value
     with pytest.raises(CorruptedError):
-        shared.check_notes(b, 4, 0, 1000, ended=True)
+        shared.check_records(b, 4, 0, 1000, ended=True)
 
 
 @pytest.fixture

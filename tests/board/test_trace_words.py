@@ -7,7 +7,7 @@ import pytest
 from stage import Stage
 from stage.board import Board, HostTimeout, NativeHost
 from stage.board.bus.host_record import CALLED, LEVEL, ON_LINE, RAISE, RETURNED, TIMER, WRONG_LEVEL
-from stage.board.bus.interrupt_controller import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
+from stage.board.bus.interrupt_controller import FIRST_SOFTWARE_LINE, FIRST_SOFTWARE_SOURCE, FIRST_TIMER
 from stage.board.bus_trace import Cycle, format_interrupt
 
 
@@ -102,7 +102,7 @@ def test_of_timers_that_are_due_at_once_the_highest_level_comes_first_and_of_one
         (RAISE, 8, 0, "ps_raise(8): software interrupts are 0 to 7"),
         (TIMER | WRONG_LEVEL, 3, 0, "level 0 of timer 3: levels of hooks are 1 to 15"),
         (ON_LINE | WRONG_LEVEL, 1, 16, "level 16 of line 1: levels of hooks are 1 to 15"),
-        (ON_LINE | WRONG_LEVEL, SOFTWARE_LINE + 3, 16, "level 16 of PS_SOFTWARE(3): levels of hooks are 1 to 15"),
+        (ON_LINE | WRONG_LEVEL, FIRST_SOFTWARE_LINE + 3, 16, "level 16 of PS_SOFTWARE(3): levels of hooks are 1 to 15"),
     ],
 )
 def test_a_wrong_request_is_refused_with_the_allowed_range(board, what, a, b, message):
@@ -117,7 +117,7 @@ def test_a_wrong_request_is_refused_with_the_allowed_range(board, what, a, b, me
         (0, 0, "the interrupt hook was called 1,000 times in a row at 0.000000 s and the line is still asserted"),
         (2, 0, "the hook of line 1 was called 1,000 times in a row at 0.000000 s and the line is still asserted"),
         (
-            FIRST_SOFTWARE + 2,
+            FIRST_SOFTWARE_SOURCE + 2,
             0,
             "the hook of software interrupt 2 was called 1,000 times in a row at 0.000000 s and is raised again",
         ),

@@ -54,8 +54,8 @@ def test_sent_has_the_bytes_that_have_left_the_uart_in_order(written, unsent):
     board, uart = line()
     s = uart.registers
     message = np.arange(written) * 7 % 251
-    for k in range(max(0, written - uart_core.SENT_ROOM), written):
-        s["sent"][k % uart_core.SENT_ROOM] = message[k]
+    for k in range(max(0, written - uart_core.SENT_BUFFER_SIZE), written):
+        s["sent"][k % uart_core.SENT_BUFFER_SIZE] = message[k]
     s["written"], s["left"] = written, board.stage.now + unsent * uart._character_ns - (1 if unsent else 0)
     end = written - unsent
     assert uart.sent == bytes(message[max(0, end - 4096) : end].tolist())

@@ -10,14 +10,14 @@ from support.compiled_firmware import firmware
 from stage import Stage
 from stage.board import Board, NativeHost
 from stage.board.bus_layouts import MAX_PORTS
-from stage.board.memory_mapped_ports import Window, parse_windows
+from stage.board.memory_mapped_ports import MemoryWindow, parse_windows
 from stage.chips import MCX304
 from stage.errors import ArgumentError
 
 
 def test_a_window_is_text_or_numbers_one_or_several():
     # stage run driver.so --map 0x40021000=0x300+0x40
-    one = Window(0x40021000, 0x300, 0x40)
+    one = MemoryWindow(0x40021000, 0x300, 0x40)
     assert parse_windows("0x40021000=0x300+0x40") == parse_windows(" 1073876992 = 768+64") == (one,)
     assert str(one) == "0x40021000=0x300+0x40"
     assert (
@@ -27,7 +27,7 @@ def test_a_window_is_text_or_numbers_one_or_several():
         == parse_windows(one)
         == (one,)
     )
-    assert parse_windows(["0x50000000=0x340+4", one]) == (one, Window(0x50000000, 0x340, 4)), "sorted by address"
+    assert parse_windows(["0x50000000=0x340+4", one]) == (one, MemoryWindow(0x50000000, 0x340, 4)), "sorted by address"
     assert parse_windows([(0x50000010, 0x300, 8), (0x50000000, 0x300, 0x10)])[1].address == 0x50000010, "side by side"
     assert parse_windows() == parse_windows([]) == ()
     assert parse_windows(f"0x1000={MAX_PORTS - 4}+4")[0].length == 4
@@ -41,7 +41,7 @@ REFUSED = {
     f"0x40021000={MAX_PORTS - 4}+5": f"its ports end at {MAX_PORTS:X}h, and ports are 0 to {MAX_PORTS - 1:X}h",
     "0x7fffffffffff=0x300+2": "addresses are 0 to 7FFFFFFFFFFFh",
     ("0x40021000=0x300+0x11", "0x40021010=0x340+4"): "windows 0x40021000=0x300+0x11 and 0x40021010=0x340+0x4 overlap",
-    (5,): "map=(5,): a window is a Window(address, port, length), or text",
+    (5,): "map=(5,): a window is a MemoryWindow(address, port, length), or text",
     (1, 2): "a window is",
     ((0x40021000, 0x300),): "a window is",
     (0x40021000, -1, 5): "its ports end at 3h",

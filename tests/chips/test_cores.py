@@ -12,7 +12,7 @@ from support.examples import SEED
 
 from stage.chips import CHIPS, FAMILIES, core_interface
 from stage.errors import ArgumentError, StageError
-from stage.native import Exported
+from stage.native import ExportedFunction
 
 every_chip = pytest.mark.parametrize("name", CHIPS.built_in)
 
@@ -22,7 +22,7 @@ def test_a_core_gives_every_answer_with_the_types_that_loops_call_it_by(name):
     core = CHIPS[name].CORE
     for answer, (result, *arguments) in core_interface.ANSWERS.items():
         function = getattr(core, answer)
-        assert isinstance(function, Exported), answer
+        assert isinstance(function, ExportedFunction), answer
         assert (function.result, *function.arguments) == (result, core.STATE, *arguments), answer
 
 

@@ -185,17 +185,17 @@ def test_entries_are_a_sequence_of_32_bytes_each():
         assert list(entries[part]) == rows[part]
     with pytest.raises(IndexError):
         entries[1000]
-    packed = entries.packed()
+    packed = entries.to_packed()
     assert packed.dtype == PACKED
     assert packed.nbytes == 32_000
     assert np.array_equal(packed["b"], [row[3] for row in rows])
-    assert Entries().packed().size == len(Entries()[2:]) == 0
+    assert Entries().to_packed().size == len(Entries()[2:]) == 0
 
 
 def test_entries_that_are_looked_at_can_still_grow():
     entries = Entries()
     entries.append(1, WRITE, 0, 0)
-    kept, walk = entries.packed(), iter(entries)
+    kept, walk = entries.to_packed(), iter(entries)
     entries.append(2, WRITE, 0, 0)
     assert len(kept) == 1
     assert [e.clock for e in walk] == [1, 2]

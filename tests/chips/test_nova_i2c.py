@@ -41,13 +41,15 @@ def test_a_transfer_continues_with_the_following_bytes():
     chip = MCX514()
     bus = I2C({0: chip})
     order(bus, 0, 0x031F)
-    bus.write(I2C.address(0, 2), 0x11, 0x22, 0x33, 0x44, 0x0C, 0x08)  # WR1, WR2, WR3
+    bus.write(I2C.make_address_byte(0, 2), 0x11, 0x22, 0x33, 0x44, 0x0C, 0x08)  # WR1, WR2, WR3
     for k, value in enumerate((0x2211, 0x4433, 0x080C)):
         assert get(chip, 0x3D + k, Y) == value
     put(chip, 0x12, 0x56781234)  # MR2
     command(chip, 0x36)
-    assert bus.read(I2C.address(0, 12, read=True), 4) == b"\x34\x12\x78\x56"
-    assert bus.read(I2C.address(0, 15, read=True), 2)[1:] == bus.read(I2C.address(0, 0, read=True), 1), "behind 15 is 0"
+    assert bus.read(I2C.make_address_byte(0, 12, read=True), 4) == b"\x34\x12\x78\x56"
+    assert bus.read(I2C.make_address_byte(0, 15, read=True), 2)[1:] == bus.read(
+        I2C.make_address_byte(0, 0, read=True), 1
+    ), "behind 15 is 0"
 
 
 def test_the_low_byte_of_wr0_executes_with_the_high_byte_written_before():
@@ -85,7 +87,7 @@ def test_transfers_take_time_on_the_wire():
         (lambda: I2C({0: MCX304()}), "has no I2C interface"),
         (lambda: I2C({8: MCX514()}), "I2C address 8: A2 to A0"),
         (lambda: I2C({0: MCX514()}, hz=0), "more than 0"),
-        (lambda: I2C.address(0, 16), "bytes are 0 to 15"),
+        (lambda: I2C.make_address_byte(0, 16), "bytes are 0 to 15"),
         (lambda: I2C({0: MCX514()}).write(0x01, 1), "01h says a read: its bit 0 must be 0 to write"),
         (lambda: I2C({0: MCX514()}).read(0x00, 1), "00h says a write: its bit 0 must be 1 to read"),
         (lambda: I2C({0: MCX514()}).write(0x100, 1), "it is 0 to 255"),

@@ -11,8 +11,9 @@ from support.nova_bench import command, load, put
 from stage.chips import MCX304, MCX514
 from stage.chips.nova import lint
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX514_MAP, POINT
+from stage.chips.nova.registers.mcx514 import COORDINATE_RANGE_PULSES, MCX501_MAP, MCX514_MAP
 
+MIN_TP, MAX_TP = COORDINATE_RANGE_PULSES
 X, Y, Z, U = 0x100, 0x200, 0x400, 0x800
 MAPS = (MCX514_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)
 every_chip = pytest.mark.parametrize("chip", MAPS, ids=lambda m: m.chip)
@@ -21,11 +22,13 @@ every_chip = pytest.mark.parametrize("chip", MAPS, ids=lambda m: m.chip)
 class Contents:
     """Contents of a chip before a write, as the lint reads them; a mask of axes has bit 0 for X."""
 
-    data = driving_axes = relative_drives = absolute_drives = interpolated_axes = multichip_role = helix_ticks = 0
+    command_data = driving_axes = relative_drive_axes = absolute_drive_axes = interpolated_axes = multichip_role = (
+        helix_ticks
+    ) = 0
     has_unused_data = is_interpolating = is_queue_full = is_loading_pattern = is_wired_to_other_chips = (
         has_master_started
     ) = False
-    drive_speed = tp_values = ()
+    drive_speeds = tp_values = ()
 
     def __init__(self, **contents):
         vars(self).update(contents)
@@ -50,7 +53,7 @@ def text(chip, value, address=0, **contents):
 
 
 def data(value):
-    return {"data": value, "has_unused_data": True}
+    return {"command_data": value, "has_unused_data": True}
 
 
 # a write, what the chip holds, and what is said of it; then a write next to it that is right
@@ -82,9 +85,9 @@ WRONG_WRITES = [
      "with TP = 2147483647 of X",
      0x52, {"tp_values": (2_147_483_647,)}),
     ("TP below its range in a drive", MCX514_MAP, Y | 0x06,
-     {**data(-2_147_483_648), "relative_drives": 2, "tp_values": (0, -5, 0, 0)},
+     {**data(-2_147_483_648), "relative_drive_axes": 2, "tp_values": (0, -5, 0, 0)},
      "TP = -2147483648 while driving: drive pulse number takes", Y | 0x06,
-     {**data(-2_147_483_646), "relative_drives": 2, "tp_values": (0, -5, 0, 0)}),
+     {**data(-2_147_483_646), "relative_drive_axes": 2, "tp_values": (0, -5, 0, 0)}),
     ("a helix with more pulses along its axis than ticks", MCX514_MAP, 0x69,
      {"interpolated_axes": 0b1101, "tp_values": (0, 0, 0, -333), "helix_ticks": 283},
      "with TP = -333 of U: the 283 ticks of HLV make one pulse each at most; the other 50 are lost", 0x6A,
@@ -103,15 +106,16 @@ WRONG_WRITES = [
      {"driving_axes": 2}),
     ("a home search while driving", MCX304_MAP, X | 0x62, {"driving_axes": 1}, "while X is driving", X | 0x26,
      {"driving_axes": 1}),
-    ("TP in absolute driving", MCX514_MAP, X | 0x06, {**data(9), "absolute_drives": 1}, "in absolute position driving: it cannot",
-     Y | 0x06, {**data(9), "absolute_drives": 1}),
-    ("TP the other way", MCX514_MAP, Y | 0x06, {**data(-9), "relative_drives": 2, "tp_values": (0, 5, 0, 0)},
+    ("TP in absolute driving", MCX514_MAP, X | 0x06, {**data(9), "absolute_drive_axes": 1},
+     "in absolute position driving: it cannot",
+     Y | 0x06, {**data(9), "absolute_drive_axes": 1}),
+    ("TP the other way", MCX514_MAP, Y | 0x06, {**data(-9), "relative_drive_axes": 2, "tp_values": (0, 5, 0, 0)},
      "TP = -9 while Y drives",
-     Y | 0x06, {**data(0), "relative_drives": 2, "tp_values": (0, 5, 0, 0)}),
+     Y | 0x06, {**data(0), "relative_drive_axes": 2, "tp_values": (0, 5, 0, 0)}),
     ("a continuous interpolation above 4 Mpps", MCX514_MAP, 0x61,
-     {"interpolated_axes": 6, "is_interpolating": True, "drive_speed": (1, 4_000_001, 1, 1)}, "with DV = 4000001: 4000000 is",
+     {"interpolated_axes": 6, "is_interpolating": True, "drive_speeds": (1, 4_000_001, 1, 1)}, "with DV = 4000001: 4000000 is",
      0x61,
-     {"interpolated_axes": 6, "is_interpolating": True, "drive_speed": (5_000_000, 4_000_000, 5_000_000, 1)}),
+     {"interpolated_axes": 6, "is_interpolating": True, "drive_speeds": (5_000_000, 4_000_000, 5_000_000, 1)}),
     ("DV above 4 Mpps in a continuous interpolation", MCX514_MAP, X | 0x05,
      {**data(4_000_001), "interpolated_axes": 3, "is_interpolating": True}, "DV = 4000001 in continuous interpolation", X | 0x05,
      {**data(4_000_000), "interpolated_axes": 3, "is_interpolating": True}),
@@ -131,9 +135,12 @@ WRONG_WRITES = [
      "TP = 1073741824 of Y",
      0x66, {"interpolated_axes": 3, "tp_values": (0, 0x7FFF_FFFF, 0, 0)}),
     ("a finish point of 32 bits, to plus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "tp_values": (1_073_741_824, 0, 0, 0)},
-     "TP = 1073741824 of X", 0x61, {"interpolated_axes": 3, "tp_values": (POINT[1], POINT[0], POINT[0] - 1, 0)}),
-    ("a finish point of 32 bits, to minus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "tp_values": (POINT[0] - 1, 0, 0, 0)},
-     f"TP = {POINT[0] - 1} of X", 0x61, {"interpolated_axes": 2 | 4, "tp_values": (POINT[1] + 1, POINT[0], POINT[1], 0)}),
+     "TP = 1073741824 of X", 0x61,
+     {"interpolated_axes": 3, "tp_values": (MAX_TP, MIN_TP, MIN_TP - 1, 0)}),
+    ("a finish point of 32 bits, to minus", MCX514_MAP, 0x61,
+    {"interpolated_axes": 3, "tp_values": (MIN_TP - 1, 0, 0, 0)},
+     f"TP = {MIN_TP - 1} of X", 0x61,
+     {"interpolated_axes": 2 | 4, "tp_values": (MAX_TP + 1, MIN_TP, MAX_TP, 0)}),
 ]  # fmt: skip
 
 
@@ -183,7 +190,7 @@ def test_a_write_that_breaks_several_rules_has_a_diagnostic_of_each():
     ]
     drive = {"driving_axes": 1, "tp_values": (-2_147_483_647, 0, 0, 0)}
     assert list(find(MCX514_MAP, X | 0x50, **drive)) == ["already-driving", "pulse-number"]
-    line = {"interpolated_axes": 7, "driving_axes": 2, "tp_values": (0, POINT[1] + 1, 0, 0)}
+    line = {"interpolated_axes": 7, "driving_axes": 2, "tp_values": (0, MAX_TP + 1, 0, 0)}
     assert list(find(MCX514_MAP, 0x61, **line)) == ["number-of-axes", "axis-drives", "finish-point-range"]
     assert list(find(MCX312_MAP, 0x0208, 5)) == ["field-range"], "AX2 = 2"
     assert list(find(MCX312_MAP, 0x2208, 5)) == ["unused-bits", "field-range"]
@@ -209,7 +216,7 @@ def test_no_write_raises_and_every_diagnostic_has_a_message_and_a_section(chip):
     for _ in range(3000):
         contents = {
             name: rng.getrandbits(4)
-            for name in ("driving_axes", "relative_drives", "absolute_drives", "interpolated_axes")
+            for name in ("driving_axes", "relative_drive_axes", "absolute_drive_axes", "interpolated_axes")
         }
         names = (
             "has_unused_data",
@@ -220,8 +227,8 @@ def test_no_write_raises_and_every_diagnostic_has_a_message_and_a_section(chip):
             "has_master_started",
         )
         contents |= {name: rng.random() < 0.5 for name in names}
-        contents |= {"data": rng.getrandbits(32), "role": rng.randrange(4), "helix_ticks": rng.randrange(4000)}
-        contents["drive_speed"] = [rng.getrandbits(24) for _ in range(4)]
+        contents |= {"command_data": rng.getrandbits(32), "role": rng.randrange(4), "helix_ticks": rng.randrange(4000)}
+        contents["drive_speeds"] = [rng.getrandbits(24) for _ in range(4)]
         contents["tp_values"] = [rng.getrandbits(32) - 2**31 for _ in range(4)]
         find(chip, rng.getrandbits(16), rng.choice((0, 0, 0, rng.randrange(8))), **contents)
 

@@ -13,7 +13,7 @@ from support.nova_bench import SEED, Move, U, X, Y, Z, command, driving, example
 
 from stage import Fleet, Program, Stage, firmware
 from stage.chips import MCX501, MCX512, MCX514
-from stage.chips.journal import Replay
+from stage.chips.journal import GrowingJournalReplay
 from stage.errors import ArgumentError
 
 MASTER, SLAVE, TX_GIVEN = 1 << 10, 2 << 10, 1 << 12
@@ -388,7 +388,7 @@ def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
         begin(stage, (100, 0, 0), (-50, 0))
         stage.run(0.02)
     journal.close()
-    replay = Replay(journal)
+    replay = GrowingJournalReplay(journal)
     assert sum(len(edges) for edges in replay.replay_in_pieces()) < 250, "without every pulse: rates and pins"
     assert replay.state == slave.state.tobytes()
     columns = recording.columns

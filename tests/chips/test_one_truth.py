@@ -89,10 +89,10 @@ def test_the_commands_of_the_pcl240_are_those_of_its_data_sheet():
         chip_port.RESET,
         chip_port.SLOW_DOWN["FH1"],
         chip_port.SLOW_DOWN["FH2"],
-        chip_port.INTERRUPT,
+        chip_port.STOP_INTERRUPT_BIT,
     ) == (0x08, 0x1D, 0x1F, 0x20)
     assert chip_port.START == {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}
-    assert chip_port.RAMP == {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
+    assert chip_port.RAMP_START_COMMANDS == {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
     assert (
         chip_port.ORIGIN,
         chip_port.SD,

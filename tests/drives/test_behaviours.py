@@ -11,18 +11,18 @@ from support.examples import FIXED, SEED
 
 from stage.drives.dynamometer import (
     SLICE_S,
-    compute_closed_form,
+    compute_closed_form_torque,
     compute_load_angle,
     compute_mean_counts,
     compute_natural_frequency,
-    compute_voltage_and_current_bound,
+    compute_torque_bound,
     count_lost_steps,
     count_slices,
     count_steps_lost_in_start,
     find_pull_in_rate,
+    measure_swing_frequency,
     simulate_motor,
     simulate_pull_out,
-    simulate_ring_down,
     sweep_resonance,
 )
 from stage.drives.motors import MOTORS, Drive
@@ -38,41 +38,43 @@ CORNER = np.r_[700 : 1000 : 50 if FIXED else 20]  # rpm, around the speed where 
 
 
 def test_the_closed_form_gives_the_known_curve():
-    assert compute_closed_form(MOTOR, 24, 1.7, SPEC_RPM) == pytest.approx([0.283, 0.278, 0.209, 0.168, 0.126], abs=6e-4)
+    assert compute_closed_form_torque(MOTOR, 24, 1.7, SPEC_RPM) == pytest.approx(
+        [0.283, 0.278, 0.209, 0.168, 0.126], abs=6e-4
+    )
 
 
 @pytest.mark.parametrize("name", MOTORS)
 def test_pull_out_torque_of_an_ideal_sine_drive_follows_the_closed_form_within_3_percent(name):
     m = LOSSLESS[name]
     simulated = simulate_pull_out(Drive(m, 256, mode="sine", detent=0.0), SPEC_RPM)
-    assert simulated == pytest.approx(compute_closed_form(m, 24, m.rated_current, SPEC_RPM), rel=0.03)
+    assert simulated == pytest.approx(compute_closed_form_torque(m, 24, m.rated_current, SPEC_RPM), rel=0.03)
 
 
 def test_and_so_it_does_all_along_the_corner():
     simulated = simulate_pull_out(replace(SMOOTH, mode="sine", microsteps=256), CORNER)
-    assert simulated == pytest.approx(compute_closed_form(MOTOR, 24, 1.7, CORNER), rel=0.03)
+    assert simulated == pytest.approx(compute_closed_form_torque(MOTOR, 24, 1.7, CORNER), rel=0.03)
 
 
 def test_beyond_its_no_load_speed_a_motor_has_no_torque():
-    assert compute_voltage_and_current_bound(MOTOR, 0.5, 1.7, np.array([3e3, 1e6])).tolist() == [0.0, 0.0]
+    assert compute_torque_bound(MOTOR, 0.5, 1.7, np.array([3e3, 1e6])).tolist() == [0.0, 0.0]
 
 
 def test_a_chopper_lies_between_what_a_sine_bound_by_both_limits_reaches_and_the_closed_form_at_4_over_pi_v():
     rpm = np.r_[100, 300, CORNER, 1200:2401:400]
     simulated = simulate_pull_out(SMOOTH, rpm)
-    assert (simulated > 0.99 * compute_voltage_and_current_bound(MOTOR, 24, 1.7, rpm)).all()
-    assert (simulated < 1.01 * compute_closed_form(MOTOR, 4 / math.pi * 24, 1.7, rpm)).all()
+    assert (simulated > 0.99 * compute_torque_bound(MOTOR, 24, 1.7, rpm)).all()
+    assert (simulated < 1.01 * compute_closed_form_torque(MOTOR, 4 / math.pi * 24, 1.7, rpm)).all()
 
 
 def test_away_from_the_corner_a_chopper_lies_between_the_closed_forms_at_v_and_4_over_pi_v():
     rpm = np.r_[100:750:200, 1000:2401:200]
-    ratio = simulate_pull_out(SMOOTH, rpm) / compute_closed_form(MOTOR, 24, 1.7, rpm)
+    ratio = simulate_pull_out(SMOOTH, rpm) / compute_closed_form_torque(MOTOR, 24, 1.7, rpm)
     assert (ratio > 0.99).all()
     assert (ratio < 4 / math.pi * 1.01).all()
 
 
 def test_in_the_corner_the_current_limit_costs_a_chopper_up_to_4_percent_of_the_closed_form_at_v():
-    ratio = simulate_pull_out(SMOOTH, CORNER) / compute_closed_form(MOTOR, 24, 1.7, CORNER)
+    ratio = simulate_pull_out(SMOOTH, CORNER) / compute_closed_form_torque(MOTOR, 24, 1.7, CORNER)
     assert 0.96 < ratio.min() < 0.98, "there the closed form asks for more than 1.7 A; see docs/drives.md"
 
 
@@ -81,7 +83,7 @@ def test_no_sine_within_both_limits_beats_the_bound_and_one_reaches_it():
     rpm = np.array([100.0, 700, 880, 900, 1000, 1300, 2400])
     angle, size = np.meshgrid(np.linspace(-math.pi, math.pi, 2001), np.linspace(0, 1.7, 401))
     current = size * np.exp(1j * angle)
-    for speed, bound in zip(rpm, compute_voltage_and_current_bound(MOTOR, 24, 1.7, rpm), strict=True):
+    for speed, bound in zip(rpm, compute_torque_bound(MOTOR, 24, 1.7, rpm), strict=True):
         w = speed * 2 * math.pi / 60
         voltage = (MOTOR.resistance + 50j * w * MOTOR.inductance) * current + MOTOR.torque_constant * w
         best = MOTOR.torque_constant * current.real[abs(voltage) <= 24].max()
@@ -92,16 +94,16 @@ def test_no_sine_within_both_limits_beats_the_bound_and_one_reaches_it():
 @pytest.mark.parametrize("times", [1, 3])
 @pytest.mark.parametrize("half_step", [False, True])
 def test_the_rotor_rings_at_the_root_of_stiffness_over_inertia(times, half_step):
-    simulated = simulate_ring_down(DRIVE, times * ROTOR, 8 if half_step else 0)
+    simulated = measure_swing_frequency(DRIVE, times * ROTOR, 8 if half_step else 0)
     assert simulated == pytest.approx(compute_natural_frequency(DRIVE, times * ROTOR, half_step), rel=0.01)
 
 
 def test_an_unloaded_17hs4401_rings_near_300_hz():
-    assert simulate_ring_down(DRIVE, ROTOR) == pytest.approx(300, rel=0.03)
+    assert measure_swing_frequency(DRIVE, ROTOR) == pytest.approx(300, rel=0.03)
 
 
 def test_at_full_step_a_rotor_loses_its_torque_near_its_natural_frequency_and_at_microsteps_it_does_not():
-    natural = simulate_ring_down(SMOOTH, ROTOR)
+    natural = measure_swing_frequency(SMOOTH, ROTOR)
     rates = natural * np.array([0.5, 0.85, 1.5, 3.0])
     full, fine = (sweep_resonance(Drive(MOTOR, n), rates) for n in (1, 16))
     assert full.torque[1] < 0.1 * full.torque.max()
@@ -208,7 +210,7 @@ def test_pulses_forth_and_back_end_where_they_began():
 
 def test_a_torque_well_below_the_rated_one_is_measured_as_well():
     rpm, drive = [1000, 2000, 3000], Drive(MOTOR, microsteps=256, bus_voltage=5, mode="sine", detent=0.0)
-    assert simulate_pull_out(drive, rpm) == pytest.approx(compute_closed_form(MOTOR, 5, 1.7, rpm), rel=0.03)
+    assert simulate_pull_out(drive, rpm) == pytest.approx(compute_closed_form_torque(MOTOR, 5, 1.7, rpm), rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -226,7 +228,7 @@ def test_a_torque_well_below_the_rated_one_is_measured_as_well():
         (lambda: simulate_motor(DRIVE, [0.0], ROTOR, load=[0.1, 0.2]), "load of shape"),
         (lambda: count_steps_lost_in_start(DRIVE, -5, ROTOR), "rate above 0"),
         (lambda: count_steps_lost_in_start(DRIVE, 1000, ROTOR, accel=-1), "from 0 .at once. on"),
-        (lambda: simulate_ring_down(DRIVE, ROTOR, frame_damping=1.0), "does not ring"),
+        (lambda: measure_swing_frequency(DRIVE, ROTOR, frame_damping=1.0), "does not ring"),
     ],
 )
 def test_the_bench_says_what_it_cannot_measure(make, message):

@@ -14,9 +14,9 @@ from stage import ArgumentError, ModelError, Stage
 from stage.chips import PCL240K
 from stage.drives import stepper
 from stage.drives.dynamometer import (
-    compute_closed_form,
+    compute_closed_form_torque,
     compute_mean_counts,
-    compute_voltage_and_current_bound,
+    compute_torque_bound,
     count_slices,
     simulate_motor,
     simulate_pull_out,
@@ -48,7 +48,7 @@ def test_current_lost_in_each_phase_brakes_like_a_constant_damping_at_any_angle(
         assert block == pytest.approx(KM * (ib * c - ia * s) - LOSSY.core_loss_damping * speed, rel=1e-12)
 
 
-@pytest.mark.parametrize("curve", [compute_closed_form, compute_voltage_and_current_bound])
+@pytest.mark.parametrize("curve", [compute_closed_form_torque, compute_torque_bound])
 def test_closed_forms_are_less_by_the_loss_and_never_negative(curve):
     lossless, lossy = curve(LOSSLESS, 24, 2.0, RPM), curve(LOSSY, 24, 2.0, RPM)
     assert lossy == pytest.approx(np.maximum(lossless - DAMPING * W, 0), rel=1e-12)
@@ -57,7 +57,7 @@ def test_closed_forms_are_less_by_the_loss_and_never_negative(curve):
 
 def test_the_bench_finds_the_closed_form_less_the_loss():
     assert simulate_pull_out(Drive(LOSSY, **SINE), RPM[:3]) == pytest.approx(
-        compute_closed_form(LOSSY, 24, 2.0, RPM[:3]), rel=0.01
+        compute_closed_form_torque(LOSSY, 24, 2.0, RPM[:3]), rel=0.01
     )
 
 
@@ -263,8 +263,8 @@ def test_a_negative_or_infinite_loss_is_refused_in_one_sentence(bad):
 def test_an_effective_inductance_takes_the_place_of_the_data_sheet_s():
     effective = replace(LOSSLESS, effective_inductance=4.0e-3)
     assert (effective.inductance, effective.phase_inductance, LOSSLESS.phase_inductance) == (3.0e-3, 4.0e-3, 3.0e-3)
-    assert compute_closed_form(effective, 24, 2.0, RPM) == pytest.approx(
-        compute_closed_form(replace(LOSSLESS, inductance=4.0e-3), 24, 2.0, RPM)
+    assert compute_closed_form_torque(effective, 24, 2.0, RPM) == pytest.approx(
+        compute_closed_form_torque(replace(LOSSLESS, inductance=4.0e-3), 24, 2.0, RPM)
     )
     with pytest.raises(ArgumentError, match="effective_inductance=-1: give a number above 0, up to 1 H"):
         replace(LOSSLESS, effective_inductance=-1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from stage import ArgumentError
-from stage.drives.dynamometer import compute_closed_form, compute_voltage_and_current_bound
+from stage.drives.dynamometer import compute_closed_form_torque, compute_torque_bound
 from stage.drives.motor_tolerances import estimate_tolerances, vary_motor
 from stage.drives.motors import EVIDENCE, MOTORS, describe_core_loss, estimate_core_loss, find_motor, read_tolerance
 from stage.drives.published_pull_out_curves import PUBLISHED_CURVES, fit_curve
@@ -95,7 +95,7 @@ def test_functions_of_a_motor_take_the_name_of_a_preset():
     assert vary_motor(name, inductance=3e-3) == vary_motor(m, inductance=3e-3)
     assert describe_core_loss(name) == describe_core_loss(m)
     assert fit_curve(CURVE.motor, CURVE, [500], ["core_loss_resistance"]).motor.name == CURVE.motor
-    for form in (compute_closed_form, compute_voltage_and_current_bound):
+    for form in (compute_closed_form_torque, compute_torque_bound):
         assert form(name, 24.0, 1.7, 300.0) == form(m, 24.0, 1.7, 300.0)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import stage.envs  # noqa: F401
 from stage import ArgumentError
-from stage.envs.bus_macros import LEVELS, MAX_BEFORE_ORIGIN, Config
+from stage.envs.bus_macros import LEVELS, MAX_PULSES_BEFORE_ORIGIN, Config
 
 FULL = 120 * 0.01 + 30.0 * 0.05
 """The cost that an episode can still incur at its begin."""
@@ -84,7 +84,7 @@ def test_an_origin_return_fails_on_the_origin_switch_and_succeeds_after_leaving_
     assert not env._task.axis_states[0, 0]["known"], "the backing off is too short"
     play_macros(env, "rates usual", f"distance {env._task.config.grid[-1]}", "plus", "wait", "read", "home")
     assert env._task.axis_states[0, 0]["known"]
-    assert env._task.config.grid[-1] > MAX_BEFORE_ORIGIN
+    assert env._task.config.grid[-1] > MAX_PULSES_BEFORE_ORIGIN
 
 
 def test_a_macro_without_effect_is_masked_and_does_nothing_when_played(env):

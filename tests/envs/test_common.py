@@ -226,7 +226,7 @@ def test_a_new_episode_in_a_vector_reports_its_reset_info_while_others_continue(
         _, _, terminated, truncated, _ = vector.step(choose_timed_action(id_, vector.action_space.sample()))
         over = terminated | truncated
     infos = vector.step(choose_timed_action(id_, vector.action_space.sample()))[4]
-    assert is_identical(stage.envs.stage_env.extract_info(infos, 1), vector.unwrapped._task.reset_info(1))
+    assert is_identical(stage.envs.stage_env.extract_info(infos, 1), vector.unwrapped._task.make_reset_info(1))
     assert "reward_parts" in stage.envs.stage_env.extract_info(infos, 0)
 
 
@@ -346,7 +346,7 @@ def test_a_diverging_stage_ends_only_the_episode_of_its_environment(any_):
     vector.stages[1].data.qfrc_applied[:] = 0.0
     again, *_, infos = vector.step(actions)
     assert np.isfinite(again).all(), "it starts anew"
-    assert is_identical(stage.envs.stage_env.extract_info(infos, 1), vector.unwrapped._task.reset_info(1))
+    assert is_identical(stage.envs.stage_env.extract_info(infos, 1), vector.unwrapped._task.make_reset_info(1))
     assert vector.stages[1].time == 0, "and waits for its first action"
     if not finished[0]:  # else it begins anew, too
         assert stage.envs.stage_env.extract_info(infos, 0)["cause"] == ""

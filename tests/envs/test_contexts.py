@@ -7,8 +7,8 @@ from support.mirrored import mirrored
 from stage import ArgumentError, Stage
 from stage.envs import machine_contexts, machine_faults
 from stage.envs.observation_features import HOST, Feature
-from stage.envs.settings import read_option
-from stage.envs.step_results import SCORE_FEATURE, Results, make_step_result_dtype
+from stage.envs.settings import read_number_option
+from stage.envs.step_results import SCORE_FEATURE, StepResults, make_step_result_dtype
 
 PARTS = {"payload": 1.0, "friction": 3.0, "supply": 0.5, "current": 0.8, "loss": 1.5, "inductance": 1.2}
 ENDS = {"payload": (2.0, 2.0), "friction": (0.5, 2.0)}
@@ -66,10 +66,10 @@ def test_a_range_of_one_number_is_scaled_to_its_minimum():
 
 @pytest.mark.parametrize("wrong", [True, "1", np.nan, -1, 9])
 def test_a_reset_option_outside_its_range_is_refused(wrong):
-    assert read_option({"payload": 0}, "payload", 1.0, (0.0, 8.0)) == 0
-    assert read_option({"payload": 8}, "payload", 1.0, (0.0, 8.0)) == 8
+    assert read_number_option({"payload": 0}, "payload", 1.0, (0.0, 8.0)) == 0
+    assert read_number_option({"payload": 8}, "payload", 1.0, (0.0, 8.0)) == 8
     with pytest.raises(ArgumentError, match="option payload="):
-        read_option({"payload": wrong}, "payload", 1.0, (0.0, 8.0))
+        read_number_option({"payload": wrong}, "payload", 1.0, (0.0, 8.0))
 
 
 def test_a_machine_has_the_parameters_of_its_context_and_the_torque_constant_of_its_motor():
@@ -146,7 +146,7 @@ def test_binding_bearings_also_act_on_a_left_handed_screw(tmp_path):
 
 def test_a_vector_scores_only_episodes_that_end_in_this_step():
     for hidden in (frozenset(), frozenset({"score"})):
-        results = Results(
+        results = StepResults(
             3, make_step_result_dtype(("time",), (Feature("duration", HOST, "s", kind=float), SCORE_FEATURE)), hidden
         )
         results["score"]["time"], results["terminated"] = [1.0, 2.0, 3.0], [True, True, False]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage.envs.few_shot import MIN_RAMP_S, RATES, FewShotTuning
+from stage.envs.few_shot import ACTION_RANGES, MIN_RAMP_S, FewShotTuning
 from stage.envs.one_shot import OneShotTuning
 
 
@@ -14,8 +14,8 @@ def decode_rates(*action, distance=16_000):
 
 
 def test_the_limits_of_an_action_are_the_limits_of_the_rates():
-    assert decode_rates(-1, -1, -1, -1) == pytest.approx([low for low, _ in RATES.values()])
-    assert decode_rates(1, 1, 1, 1, distance=10**6) == pytest.approx([high for _, high in RATES.values()])
+    assert decode_rates(-1, -1, -1, -1) == pytest.approx([low for low, _ in ACTION_RANGES.values()])
+    assert decode_rates(1, 1, 1, 1, distance=10**6) == pytest.approx([high for _, high in ACTION_RANGES.values()])
 
 
 def test_a_start_rate_above_the_drive_rate_raises_the_drive_rate():

@@ -15,8 +15,8 @@ DEFINITIONS = PAGE.partition("## Definitions\n")[2].partition("\n## Splits")[0]
 COMMON, *PARTS = re.split(r"^### ", DEFINITIONS, flags=re.M)
 SECTIONS = {part.partition("\n")[0].rpartition(" ")[2]: part for part in PARTS}
 CODE = {
-    "FewShotTuning": [few_shot.Config(), few_shot.RATES, {"error": one_shot.Config().error}],
-    "DriftingHome": [drifting_home.Config(), drifting_home.RATES, vars(drifting_home)],
+    "FewShotTuning": [few_shot.Config(), few_shot.ACTION_RANGES, {"error": one_shot.Config().error}],
+    "DriftingHome": [drifting_home.Config(), drifting_home.ACTION_RANGES, vars(drifting_home)],
     "SynchronizedLine": [synchronized_line.Config()],
     "BusMacros": [bus_macros.Config(), macro_programs.RATES, vars(bus_macros)],
 }
@@ -75,4 +75,4 @@ def test_derived_figures_of_the_page_are_correct():
     assert f"up to {b.max_target_pulses} (twice the sum" in SECTIONS["BusMacros"]
     assert f"1 to {b.max_target_pulses // b.grid[0]} times {b.grid[0]} pulses" in SECTIONS["BusMacros"]
     assert "one of 14 macros" in SECTIONS["BusMacros"]
-    assert len(macro_programs.RATES) + len(b.grid) + len(macro_programs.OTHERS) + len(b.axes) == 14
+    assert len(macro_programs.RATES) + len(b.grid) + len(macro_programs.MACROS_WITHOUT_VALUES) + len(b.axes) == 14

@@ -8,7 +8,7 @@ import stage.envs  # noqa: F401
 from stage import ArgumentError
 from stage.envs import machine_contexts, machine_faults
 from stage.envs.drifting_home import Config, make_action
-from stage.envs.step_results import DIVERGED
+from stage.envs.step_results import DIVERGENCE_REWARD
 
 GOOD = make_action()
 """The action of the default rates, which approaches ORG from the plus side."""
@@ -90,7 +90,7 @@ def test_a_fault_shows_in_the_result_of_a_return_and_reporting_it_pays(env, faul
     assert len(infos) <= 3, "after one return that ran to an end limit, or two that failed"
     assert infos[-1]["reward_parts"]["report"] == 1
     assert infos[-1]["score"]["success"]
-    assert infos[-1]["fault"] == machine_faults.NAMES.index(fault)
+    assert infos[-1]["fault"] == machine_faults.FAULT_NAMES.index(fault)
     silent, infos = play_episode(
         env, lambda: GOOD, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
     )
@@ -120,8 +120,8 @@ def test_no_episode_costs_as_much_as_a_divergence():
     """A divergence cost 10, and an episode of failed returns up to 84: to diverge was the cheap way out."""
     c = Config()
     worst = 4 * c.limit * c.time_weight + 64 * c.error_weight + c.missed_weight + 2 * c.damage_weight
-    assert -c.returns * worst - c.unreported_weight > DIVERGED
-    assert -c.false_weight - c.returns * max(worst, c.missed_weight) > DIVERGED
+    assert -c.returns * worst - c.unreported_weight > DIVERGENCE_REWARD
+    assert -c.false_weight - c.returns * max(worst, c.missed_weight) > DIVERGENCE_REWARD
 
 
 def test_a_limit_of_gymnasium_does_not_spare_the_price_of_silence():
@@ -224,7 +224,7 @@ def test_each_split_draws_its_listed_faults_and_mostly_healthy_machines():
         env = make_env(split=split)
         drawn[split] = [env.reset(seed=seed)[1]["fault"] for seed in range(24)]
         assert 9 <= drawn[split].count(0) <= 20
-    names = {split: {machine_faults.NAMES[k] for k in results if k} for split, results in drawn.items()}
+    names = {split: {machine_faults.FAULT_NAMES[k] for k in results if k} for split, results in drawn.items()}
     assert names["train"] == set(machine_contexts.SPLITS["train"]["faults"])
     assert names["faults"] == set(machine_contexts.SPLITS["faults"]["faults"]) & set(Config.FAULTS)
     assert not names["train"] & names["faults"]

@@ -36,8 +36,8 @@ def test_the_split_faults_differs_from_train_only_in_its_faults(id_):
     observed = {name: set() for name in ("train", "faults")}
     for seed in range(40 if id_ == "stage/DriftingHome-v1" else 16):
         (first, a), (second, b) = (env.reset(seed=seed) for env in (train, test))
-        observed["train"].add(machine_faults.NAMES[a.pop("fault")])
-        observed["faults"].add(machine_faults.NAMES[b.pop("fault")])
+        observed["train"].add(machine_faults.FAULT_NAMES[a.pop("fault")])
+        observed["faults"].add(machine_faults.FAULT_NAMES[b.pop("fault")])
         assert str(a) == str(b), "what the machine is beside its fault"
         reported = 1 if id_ == "stage/DriftingHome-v1" else 0  # there ORG is the first, and it may be stuck
         assert np.array_equal(first[reported:], second[reported:]), "nobody is told"
@@ -47,7 +47,7 @@ def test_the_split_faults_differs_from_train_only_in_its_faults(id_):
     assert id_ == "stage/DriftingHome-v1" or (observed["train"] == {"none"} and "none" not in observed["faults"])
 
 
-@pytest.mark.parametrize("fault", machine_faults.HAMPERING)
+@pytest.mark.parametrize("fault", machine_faults.HAMPERING_FAULTS)
 def test_a_hampered_machine_loses_steps_in_fast_moves_and_makes_moderate_ones(fault):
     env = make_env("stage/FewShotTuning-v1", proofs=0)
     moves = {"brisk": make_action(1500, 96_000, 0.025, 0.025), "usual": make_action(1000, 16_000, 0.15, 0.15)}
@@ -57,7 +57,7 @@ def test_a_hampered_machine_loses_steps_in_fast_moves_and_makes_moderate_ones(fa
         for what, action in moves.items():
             *_, info = env.step(action)
             saved[name, what] = info["kept"]
-            assert machine_faults.NAMES[info["fault"]] == name
+            assert machine_faults.FAULT_NAMES[info["fault"]] == name
     assert saved == {("none", "brisk"): True, ("none", "usual"): True, (fault, "brisk"): False, (fault, "usual"): True}
 
 
@@ -67,7 +67,7 @@ def test_the_overload_fault_adds_to_the_payload_and_to_the_margin_of_a_proof():
     task, stage = env._task, env.stage
     assert stage.payload("y") == pytest.approx(1.0 + 12.0)
     for more, kg in ((0.5, 13.5), (0.0, 13.0)):
-        task.configure_stage(stage, 0, more)
+        task.apply_machine_to(stage, 0, more)
         assert stage.payload("y") == pytest.approx(kg)
 
 
@@ -119,5 +119,5 @@ def test_an_unknown_fault_is_named_in_the_error():
         make_env("stage/FewShotTuning-v1", faults=())
     env = make_env("stage/OneShotTuning-v1", faults=("sag",), healthy=0.5)
     drawn = [env.reset(seed=seed)[1]["fault"] for seed in range(16)]
-    assert {machine_faults.NAMES[k] for k in drawn} == {"none", "sag"}
+    assert {machine_faults.FAULT_NAMES[k] for k in drawn} == {"none", "sag"}
     assert 4 <= drawn.count(0) <= 12

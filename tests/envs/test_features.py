@@ -51,7 +51,7 @@ def test_observations_and_infos_match_the_declared_table_with_and_without_truth(
         env = make_env(id_, truth=truth)
         observed[truth], names[truth] = list_reported_names(env)
         assert len(env.observation_features) == env.observation_space.shape[0] == observed[truth].shape[1]
-    every = {e.name: e.who for e in (*task.INFO, *observation_features.EVERY_STEP)}
+    every = {e.name: e.who for e in (*task.INFO, *observation_features.EVERY_STEP_FEATURES)}
     assert names[True] == names["info"] == set(every)
     assert names[False] == {name for name, who in every.items() if who == observation_features.HOST}
     full = make_env(id_, truth=True)

@@ -160,12 +160,12 @@ def test_the_drawn_machine_stays_the_same_for_all_attempts(env):
 
 
 def test_frictions_and_losses_are_drawn_by_their_logarithm_and_all_else_evenly():
-    ends = dict.fromkeys(machine_contexts.KINDS, (0.0, 1.0)) | {"payload": (1.0, 3.0)}
+    ends = dict.fromkeys(machine_contexts.CONTEXT_NUMBERS, (0.0, 1.0)) | {"payload": (1.0, 3.0)}
     ends |= {"friction": (0.25, 4.0), "loss": (0.2, 5.0)}
     rng, drawn = np.random.default_rng(0), np.zeros(400, machine_contexts.CONTEXT)
     for row in drawn:
         machine_contexts.draw_context(rng, ends, row, {})
-    middles = {name: float(np.median(drawn[name])) for name in machine_contexts.KINDS}
+    middles = {name: float(np.median(drawn[name])) for name in machine_contexts.CONTEXT_NUMBERS}
     assert middles.pop("friction") == pytest.approx(1.0, abs=0.2)
     assert middles.pop("loss") == pytest.approx(1.0, abs=0.2)
     assert middles.pop("payload") == pytest.approx(2.0, abs=0.15)
@@ -251,7 +251,7 @@ def test_every_split_draws_from_its_ranges_and_settings_override_it():
         config = Config(split=name)
         assert set(differs) <= set(train)
         for kind, ends in machine_contexts.get_context_ranges(config).items():
-            of = machine_contexts.KINDS[kind][0]
+            of = machine_contexts.CONTEXT_NUMBERS[kind][0]
             if name != "train" and of in differs:
                 inside = train[of]
                 assert ends == differs[of]

@@ -27,8 +27,8 @@ def test_an_info_entry_of_both_reset_and_step_is_reported_for_both_stages(id_):
     *_, infos = envs.step(actions)
     continuing, begins = (extract_info(infos, k) for k in (0, 1))
     named = "distances" if "distances" in begins else "distance"
-    assert np.array_equal(begins[named], envs._task.reset_info(1)[named])
-    assert set(begins) == set(envs._task.reset_info(1)), "of a beginning what a reset tells, and no more"
+    assert np.array_equal(begins[named], envs._task.make_reset_info(1)[named])
+    assert set(begins) == set(envs._task.make_reset_info(1)), "of a beginning what a reset tells, and no more"
     assert set(begins) < set(continuing)
     assert infos[f"_{named}"].tolist() == [True, True]
     assert infos["_cause"].tolist() == [True, False]

@@ -236,7 +236,7 @@ def go_home(host):
         port.write_registers(**{n: v for n, v in profile.registers().items() if n in "R1 R2 R4 R5 R7"})
         if port.read_status().org:
             leave()
-        run(chip_port.ORIGIN | chip_port.SD | chip_port.MINUS, chip_port.RAMP["FH1"])
+        run(chip_port.ORIGIN | chip_port.SD | chip_port.MINUS, chip_port.RAMP_START_COMMANDS["FH1"])
         leave()
         port.write_register("R1", 20)
         run(chip_port.ORIGIN | chip_port.MINUS, chip_port.START["FL"])
@@ -420,7 +420,7 @@ def test_lost_steps_cost_and_bar_success():
     assert not host.info["success"]
     parts = [step[4]["reward_parts"]["lost"] for step in host.steps]
     assert max(parts) == 0, "found again is not paid back"
-    dear = min(host.info["lost_steps"], rb.core.MAX_PAID_STEPS)
+    dear = min(host.info["lost_steps"], rb.core.MAX_PENALIZED_LOST_STEPS)
     assert sum(parts) == pytest.approx(-rb.Config.lost_weight * dear), "the first of an episode cost"
 
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from stage.envs.observation_features import HOST, Feature
-from stage.envs.step_results import DIVERGED, Results, make_step_result_dtype
+from stage.envs.step_results import DIVERGENCE_REWARD, StepResults, make_step_result_dtype
 
 
 @pytest.fixture
 def results():
     kinds = {"duration": float, "finished": bool, "lost_steps": int, "registers": int}
     info = [Feature(name, HOST, "", kind=kind) for name, kind in kinds.items()]
-    created = Results(3, make_step_result_dtype(("time", "lost"), info, {"registers": (2,)}))
+    created = StepResults(3, make_step_result_dtype(("time", "lost"), info, {"registers": (2,)}))
     created["parts"]["time"], created["parts"]["lost"] = [-1.0, -2.0, np.nan], [0.0, -5.0, 0.0]
     created["info"]["registers"] = [[1, 2], [3, 4], [5, 6]]
     created["terminated"] = [False, True, True]
@@ -42,8 +42,8 @@ def test_a_copy_has_equal_rows_and_separate_memory(results, make_copy):
 
 def test_a_diverged_stage_is_truncated_with_only_its_divergence_cost(results):
     reward, terminated, truncated, info = results.read_row(2)
-    assert (reward, terminated, truncated) == (DIVERGED, False, True)
-    assert info["reward_parts"] == {"time": 0.0, "lost": 0.0, "diverged": DIVERGED}
+    assert (reward, terminated, truncated) == (DIVERGENCE_REWARD, False, True)
+    assert info["reward_parts"] == {"time": 0.0, "lost": 0.0, "diverged": DIVERGENCE_REWARD}
     assert info["cause"] == "diverged"
 
 
@@ -53,7 +53,7 @@ def test_result_columns_are_masked_by_the_stages_that_took_part(results):
     assert info["registers"].tolist() == [[1, 2], [0, 0], [5, 6]]
     assert info["cause"].tolist() == ["", None, "diverged"]
     assert info["reward_parts"]["time"].tolist() == [-1.0, 0.0, 0.0]
-    assert info["reward_parts"]["diverged"].tolist() == [0.0, 0.0, DIVERGED]
+    assert info["reward_parts"]["diverged"].tolist() == [0.0, 0.0, DIVERGENCE_REWARD]
     for values in (info, info["reward_parts"]):
         masks = [values[name] for name in values if name.startswith("_")]
         assert len(masks) * 2 == len(values)

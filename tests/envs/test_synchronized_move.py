@@ -17,7 +17,7 @@ from stage.envs.synchronized_move import (
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
 from stage.firmware.line_programs import LineMoves, create_line_programs
-from stage.firmware.path_deviation import compute_path_deviation, compute_perfect_deviation, replay_pulses
+from stage.firmware.path_deviation import compute_path_deviation, compute_staircase_deviation, replay_pulses
 from stage.firmware.pcl240 import emulated_preset_move
 from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 
@@ -168,7 +168,7 @@ def test_the_observation_predicts_the_deviation_of_the_follower_pulses():
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
         follower, rho = 1 - lead, d[1 - lead] / d[lead]
-        pulses = [emulated_preset_move.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
+        pulses = [emulated_preset_move.trace_preset_move(row, CHIPS["PCL240K"]) for row in rows[k]]
         row = rows[k, lead]
         risen = (row[2] - row[1]) * row[4]
         falls = pulses[lead][d[lead] - row[6]]
@@ -225,7 +225,7 @@ def test_deviation_beyond_an_end_of_the_line_is_measured_to_that_end():
         for a, column in enumerate(columns):
             at = created._truth_at_start["position"][0, a] + along * created.signed_pulse_m[a] * created.distances[0, a]
             results[:, column] = round(at * 1e12)
-        assert created._measure_carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
+        assert created._measure_carriage_deviations(results)[0] == pytest.approx(off * length, abs=1e-9)
 
 
 def test_an_end_limit_ends_only_the_episode_of_its_stage():
@@ -435,7 +435,7 @@ def test_ranges_in_the_ratio_of_the_distances_deviate_like_ideal_axes(chip, axes
     assert (created == rules.compute_data_sheet_registers()).all()
     rules.make_programs()
     for row, d, path, rate in zip(created.astype(float), rules.distances, rules.path, rules.rate, strict=True):
-        assert path <= compute_perfect_deviation(d) + 0.1
+        assert path <= compute_staircase_deviation(d) + 0.1
         m = 8_000_000 / row[:, 0]
         shares = np.abs(d) / np.abs(d).max()
         assert m / m.max() == pytest.approx(shares, rel=1e-5)

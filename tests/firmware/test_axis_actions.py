@@ -11,7 +11,7 @@ from stage.chips import PCL240MK
 from stage.errors import StageError
 from stage.firmware import Bench
 from stage.firmware.driver import get_driver
-from stage.panel.real_time_clock import FREE
+from stage.panel.real_time_clock import UNPACED_SPEED
 from stage.panel.session import Session
 
 MACHINES = {
@@ -195,13 +195,13 @@ def test_another_thread_reads_states_while_this_one_lets_time_pass(stage):
 
 
 def test_actions_go_on_in_a_session_and_orders_begin_and_stop_them(stage):
-    with Session(stage, speed=FREE) as session:
+    with Session(stage, speed=UNPACED_SPEED) as session:
         x = session.do(lambda stage: stage.axes["x"])
         action = session.do(lambda stage: firmware.begin_jog(x, 20e-3))
-        session.act("wait", lambda stage: stage.run(0.3)).result(30)
+        session.queue_action("wait", lambda stage: stage.run(0.3)).result(30)
         assert firmware.read_axis_state(x).is_moving
         stop = session.do(lambda stage: firmware.begin_stop(x))
-        session.act("wait", lambda stage: stage.run_until(lambda: stop.is_done, 5.0)).result(30)
+        session.queue_action("wait", lambda stage: stage.run_until(lambda: stop.is_done, 5.0)).result(30)
         assert action.was_cancelled
         assert not firmware.read_axis_state(x).is_moving
 

@@ -12,7 +12,7 @@ from stage.firmware.nova.path_interpolation import (
     LineSegment,
     PathSpeed,
     _encode_segment,
-    draw_path,
+    move_along_path,
 )
 
 RADIUS = 1600  # pulses
@@ -29,7 +29,7 @@ def stage():
 def draw_and_record(stage, segments, names="xy", speed=SPEED):
     """Draw a path, and return its report and the columns of a recording."""
     with stage.record() as recording:
-        report = draw_path(segments, *(stage.axes[n] for n in names), speed=speed)
+        report = move_along_path(segments, *(stage.axes[n] for n in names), speed=speed)
         stage.run(0.3)
     return report, recording.columns
 
@@ -169,27 +169,27 @@ def test_a_limit_ends_the_path_and_pending_segments_are_not_drawn(stage):
 )
 def test_segments_that_do_not_suit_the_axes_are_refused(stage, segment, names, message):
     with pytest.raises(ArgumentError, match=message):
-        draw_path([segment], *(stage.axes[n] for n in names), speed=SPEED)
+        move_along_path([segment], *(stage.axes[n] for n in names), speed=SPEED)
     assert not stage.chips[0].busy(0)
 
 
 def test_axes_of_other_chips_and_nothing_to_draw_are_refused(stage):
     x, y = stage.axes["x"], stage.axes["y"]
     with pytest.raises(ArgumentError, match="no segments"):
-        draw_path([], x, y, speed=SPEED)
+        move_along_path([], x, y, speed=SPEED)
     with pytest.raises(ArgumentError, match="different axes of one MCX514"):
-        draw_path([LineSegment(1, 1)], x, x, speed=SPEED)
+        move_along_path([LineSegment(1, 1)], x, x, speed=SPEED)
     other = Stage("xyz", chips=MCX514, visuals=False)
     with pytest.raises(ArgumentError, match="different axes of one MCX514"):
-        draw_path([LineSegment(1, 1)], x, other.axes["y"], speed=SPEED)
+        move_along_path([LineSegment(1, 1)], x, other.axes["y"], speed=SPEED)
     old = Stage("xyz", chips=MCX304, visuals=False)
     with pytest.raises(ArgumentError, match="no MCX514"):
-        draw_path([LineSegment(1, 1)], old.axes["x"], old.axes["y"], speed=SPEED)
+        move_along_path([LineSegment(1, 1)], old.axes["x"], old.axes["y"], speed=SPEED)
 
 
 def test_a_path_beyond_its_timeout_is_stopped_with_an_error(stage):
     with pytest.raises(RunTimeout, match=r"0\.1 s"):
-        draw_path([LineSegment(8000, 8000)], stage.axes["x"], stage.axes["y"], speed=PathSpeed(1000), timeout=0.1)
+        move_along_path([LineSegment(8000, 8000)], stage.axes["x"], stage.axes["y"], speed=PathSpeed(1000), timeout=0.1)
     assert not stage.chips[0].busy(0)
 
 
@@ -211,9 +211,9 @@ def test_a_helix_with_more_pulses_along_its_axis_than_ticks_is_refused_before_it
     stage = Stage("xyz", chips=MCX514, visuals=False)
     axes = list(stage.axes.values())
     with pytest.raises(ArgumentError, match="along=-333 of z: beside this circle an axis makes 284 pulses at most"):
-        draw_path([HelixSegment(centre=(0, 50), along=(-333,))], *axes, speed=PathSpeed(1000))
+        move_along_path([HelixSegment(centre=(0, 50), along=(-333,))], *axes, speed=PathSpeed(1000))
     assert [axis.chip.net(axis.chip_axis) for axis in axes] == [0, 0, 0]
-    assert draw_path([HelixSegment(centre=(0, 50), along=(284,))], *axes, speed=PathSpeed(1000)).pulses == {
+    assert move_along_path([HelixSegment(centre=(0, 50), along=(284,))], *axes, speed=PathSpeed(1000)).pulses == {
         "x": 0,
         "y": 0,
         "z": 284,

@@ -170,7 +170,7 @@ def run_into_limit(name, seconds, cls=MCX304, sign=1, routine=True, errata=True,
     Returns the setup, the positions at which the limit was met, and whether the routine has written 27h.
     """
     watch, wr1 = LIMIT_ROUTINES[name]
-    setup = DriveSetup(cls, errata, wr1=wr1, wr2=s_curve_workarounds.LIMITS_DECELERATE)
+    setup = DriveSetup(cls, errata, wr1=wr1, wr2=s_curve_workarounds.LIMIT_DECELERATION_MASK)
     setup.driver.read_status_register(3)
     setup.start(sign * PULSES)
     places = []
@@ -217,7 +217,7 @@ def test_the_routines_ignore_a_drive_that_ends_without_them(name, seconds):
 def test_the_routines_ignore_a_drive_that_a_limit_ends_at_once(name):
     """At constant speed, V = SV, there is no deceleration: the drive has ended when the routine is called."""
     watch, wr1 = LIMIT_ROUTINES[name]
-    setup = DriveSetup(wr1=wr1, wr2=s_curve_workarounds.LIMITS_DECELERATE, V=SV)
+    setup = DriveSetup(wr1=wr1, wr2=s_curve_workarounds.LIMIT_DECELERATION_MASK, V=SV)
     setup.driver.read_status_register(3)
     setup.start()
     setup.bench.at(setup.began + 0.1, lambda: setattr(setup.pins, "lmt_plus", True))
@@ -244,9 +244,9 @@ def test_a_chip_without_the_erratum_needs_no_routine(name):
     ids=["plus", "minus"],
 )
 def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
-    setup = DriveSetup(cls, wr2=s_curve_workarounds.SOFT_LIMITS, **limits).start(pulses)
+    setup = DriveSetup(cls, wr2=s_curve_workarounds.SOFT_LIMIT_MASK, **limits).start(pulses)
     assert setup.runs_away()
-    setup = DriveSetup(cls, wr2=s_curve_workarounds.SOFT_LIMITS, **limits)
+    setup = DriveSetup(cls, wr2=s_curve_workarounds.SOFT_LIMIT_MASK, **limits)
     assert not s_curve_workarounds.start_within_limits(setup.driver, pulses, limits["CM"], limits["CP"])
     assert not setup.driver.is_driving()
     assert setup.driver.read_position() == 0
@@ -255,7 +255,7 @@ def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
 @pytest.mark.parametrize("sign", [1, -1], ids=["plus", "minus"])
 def test_a_drive_that_ends_at_a_software_limit_is_started(sign):
     limits = {"CP": PULSES if sign > 0 else 1, "CM": -PULSES}
-    setup = DriveSetup(wr2=s_curve_workarounds.SOFT_LIMITS, **limits)
+    setup = DriveSetup(wr2=s_curve_workarounds.SOFT_LIMIT_MASK, **limits)
     assert s_curve_workarounds.start_within_limits(setup.driver, sign * PULSES, limits["CM"], limits["CP"])
     assert setup.wait_for_end_position() == sign * PULSES
 
@@ -406,7 +406,7 @@ class FixedStatusPort:
         self.commands.append(code)
 
 
-RUNS_AWAY = (s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, True)
+RUNS_AWAY = (s_curve_workarounds.C_END, s_curve_workarounds.LIMIT_STOP_MASK, True)
 """RR3, RR1, and whether the axis drives."""
 
 
@@ -417,17 +417,17 @@ RUNS_AWAY = (s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, Tr
         (
             (
                 s_curve_workarounds.C_END | 0xF,
-                s_curve_workarounds.STOPPED_BY_LIMIT & -s_curve_workarounds.STOPPED_BY_LIMIT,
+                s_curve_workarounds.LIMIT_STOP_MASK & -s_curve_workarounds.LIMIT_STOP_MASK,
                 True,
             ),
             True,
         ),
-        ((0xFFFF & ~s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, True), False),
-        ((s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT | s_curve_workarounds.DSND, True), False),
-        ((s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, False), False),
+        ((0xFFFF & ~s_curve_workarounds.C_END, s_curve_workarounds.LIMIT_STOP_MASK, True), False),
+        ((s_curve_workarounds.C_END, s_curve_workarounds.LIMIT_STOP_MASK | s_curve_workarounds.DSND, True), False),
+        ((s_curve_workarounds.C_END, s_curve_workarounds.LIMIT_STOP_MASK, False), False),
         ((s_curve_workarounds.C_END, 0, True), False),
         *(
-            ((s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT | 1 << k, True), False)
+            ((s_curve_workarounds.C_END, s_curve_workarounds.LIMIT_STOP_MASK | 1 << k, True), False)
             for k in range(16)
             if s_curve_workarounds.PHASES >> k & 1
         ),

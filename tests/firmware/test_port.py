@@ -40,7 +40,7 @@ def test_the_status_is_named_by_the_register_map_and_readable():
     p.write_registers(R0=100, R1=500, R2=4000, R3=4000, R4=300, R5=300, R6=50, R7=300)
     assert str(p.read_status()) == "halted"
     p.write_command(chip_port.CONTROL | chip_port.PRESET)
-    p.write_command(chip_port.RAMP["FH1"] | chip_port.INTERRUPT)
+    p.write_command(chip_port.RAMP_START_COMMANDS["FH1"] | chip_port.STOP_INTERRUPT_BIT)
     assert str(p.read_status()) == "ramping up or down"
     status = p.wait_until_stopped(10)
     assert str(status) == "halted, R0 = 0, R0 < R6, /INT pending"

@@ -47,14 +47,14 @@ def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_rang
     n = len(word.addresses)
     for value in (word.minimum, word.maximum):
         journal = x.chip.journal()
-        port.write_numbers(**{name: value})
+        port.write_quantities(**{name: value})
         journal.close()
         expected = zip(word.addresses, (value % 256**n).to_bytes(n, "big"), strict=True)
         assert [(e.a, e.b) for e in journal.entries] == list(expected)
         assert port.t == (value if name == "timer" else 0x40)
     for value in (word.minimum - 1, word.maximum + 1):
         with pytest.raises(ArgumentError, match=f"from {word.minimum} to {word.maximum}"):
-            port.write_numbers(**{name: value})
+            port.write_quantities(**{name: value})
 
 
 @pytest.mark.parametrize(
@@ -64,16 +64,16 @@ def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_rang
 def test_a_value_beyond_its_register_is_refused_before_the_first_bus_cycle(stage, name, value):
     port = ChipPort(stage.axes["x"])
     with pytest.raises(ArgumentError, match=f"{name}={value}"):
-        port.write_numbers(pole=1, **{name: value})
+        port.write_quantities(pole=1, **{name: value})
     with pytest.raises(ArgumentError, match="nothing to load"):
-        port.write_numbers(poles=1)
+        port.write_quantities(poles=1)
     assert stage.time == 0
     assert port.chip.values()["R21"] == 0x40
 
 
 def test_a_port_writes_and_reads_complete_numbers(stage):
     port = ChipPort(stage.axes["x"])
-    port.write_numbers(
+    port.write_quantities(
         command_position=-70_000,
         final_position=1_234_567,
         acceleration=0x123,

@@ -11,7 +11,7 @@ from stage.firmware.hctl1100.chip_port import ChipPort
 from stage.firmware.hctl1100.homing import leave_limit
 from stage.firmware.move_report import ProcedureObserver
 from stage.panel.procedure_forms import Jog
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 from stage.sim import plant
 
 ENDS = {"EL+": ("el_plus", 1), "EL-": ("el_minus", -1)}
@@ -263,13 +263,13 @@ def test_a_stop_ends_a_drive_out_of_a_limit():
     x = stage.axes["x"]
     x.switches.stick("el_plus", True)
     stage.run(1e-3)
-    with Session(stage, speed=FREE, paused=True) as session:
-        left = session.act("leave", lambda stage: leave_limit(ChipPort(x), -1, max_counts=10**9, timeout=1e6))
+    with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
+        left = session.queue_action("leave", lambda stage: leave_limit(ChipPort(x), -1, max_counts=10**9, timeout=1e6))
         session.paused = False
         wait_until(lambda: session.view.time > 0.05)
         assert x.chip.motor_command == -15
         session.stop_actions()
-        session.act("stop", lambda stage: firmware.stop(stage.axes["x"])).result(20)
+        session.queue_action("stop", lambda stage: firmware.stop(stage.axes["x"])).result(20)
         assert left.exception(20)
         assert x.chip.motor_command == 0
 
@@ -278,8 +278,8 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
     """A servo's line waits for a sample, 0.52 ms, after each command."""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
-    with Session(stage, speed=FREE, paused=True) as session:
-        line = session.act("line", lambda stage: firmware.line({"x": 0.1, "y": 0.05}, stage, speed=0.01))
+    with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
+        line = session.queue_action("line", lambda stage: firmware.line({"x": 0.1, "y": 0.05}, stage, speed=0.01))
         session.paused = False
         wait_until(lambda: session.view.time > 0.3)
         assert session.stop_actions()
@@ -296,5 +296,5 @@ def test_a_released_limit_that_ended_no_drive_is_named_by_its_pin(servo):
     with faults.switch_stuck(x, "el_plus", True):
         servo.run(1e-3)
     assert not x.switches.el_plus
-    assert driver.port.is_limited()
+    assert driver.port.is_limit_latched()
     assert driver.read_stop_reason() == "LIMIT"

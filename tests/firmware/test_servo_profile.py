@@ -124,7 +124,9 @@ def test_a_designed_gain_is_within_its_register():
 def test_without_a_common_sample_each_chips_timer_is_polled(stage, monkeypatch):
     """follow(ports, profile, leader_only=False)"""
     ports, requested = [set_up_servo(stage.axes[name]) for name in "xy"], []
-    monkeypatch.setattr(ChipPort, "wait_for_safe_part", lambda port, mode="position": requested.append(port.axis.name))
+    monkeypatch.setattr(
+        ChipPort, "wait_for_safe_part_of_sample", lambda port, mode="position": requested.append(port.axis.name)
+    )
     for alone, expected in ((True, ["x", "x"]), (False, ["x", "x", "y"] * 2)):
         stream_positions(ports, np.zeros((2, 2)), leader_only=alone)
         assert requested == expected

@@ -12,7 +12,7 @@ from stage.chips import HCTL1100
 from stage.firmware.driver import Speeds, get_driver
 from stage.firmware.hctl1100.driver import Hctl1100Driver
 from stage.firmware.hctl1100.moves import FilterTuning, run_in_proportional_velocity_mode, set_up_servo
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 
 COUNT = 5e-6  # m
 SAMPLE = 16 * 65 / 2e6  # s
@@ -121,8 +121,8 @@ def test_a_stop_ends_proportional_velocity(stage):
     x = stage.axes["x"]
     port = set_up_servo(x)
     port.set_control_mode("proportional velocity")
-    port.wait_for_safe_part("proportional velocity")
-    port.write_numbers(proportional_velocity=6 * 16)
+    port.wait_for_safe_part_of_sample("proportional velocity")
+    port.write_quantities(proportional_velocity=6 * 16)
     stage.run(0.2)
     with pytest.raises(StageError, match="axis x is moving"):
         firmware.move(x, 1e-3)
@@ -194,15 +194,15 @@ def test_the_panel_stops_a_move_of_a_servo_with_its_ramp():
     """session.act("move x", ...); the panel's stop"""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
-    with Session(stage, speed=FREE, paused=True) as session:
-        move = session.act("move x", lambda stage: firmware.move(x, pulses=24_000, speed=0.05))
+    with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
+        move = session.queue_action("move x", lambda stage: firmware.move(x, pulses=24_000, speed=0.05))
         session.paused = False
         begin = time.monotonic()
         while session.view.time < 0.3:
             assert time.monotonic() - begin < 20
             time.sleep(1e-3)
         session.stop_actions()
-        at = session.act("stop", lambda stage: (x.position, firmware.stop(stage.axes["x"]))).result(20)[0]
+        at = session.queue_action("stop", lambda stage: (x.position, firmware.stop(stage.axes["x"]))).result(20)[0]
         assert isinstance(move.exception(20), StageError)
         session.paused = True
         ramp = braking_distance(10_000, Speeds(drive=10_000)) * COUNT

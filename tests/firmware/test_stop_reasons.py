@@ -115,10 +115,10 @@ def test_a_move_whose_start_command_was_lost_names_no_limit():
     """faults.lost_write: the chip stands, R0 is not 0, and no limit is on"""
     stage = Stage("xy", visuals=False)
     x = stage.axes["x"]
-    with faults.lost_write(x, 0, chip_port.RAMP["FH1"]):
+    with faults.lost_write(x, 0, chip_port.RAMP_START_COMMANDS["FH1"]):
         report = firmware.preset_move(x, 300)
     driver = get_driver(x)
-    with faults.lost_write(x, 0, chip_port.RAMP["FH1"]):
+    with faults.lost_write(x, 0, chip_port.RAMP_START_COMMANDS["FH1"]):
         driver.start(300, Speeds())
     assert driver.wait(1.0) == "unknown"
     assert (report.stopped_by, report.pulses, report.ok) == ("unknown", 0, False)

@@ -14,7 +14,7 @@ from stage.chips import PCL240K
 from stage.firmware.path_deviation import (
     compute_path_deviation,
     compute_path_points,
-    compute_perfect_deviation,
+    compute_staircase_deviation,
     replay_pulses,
 )
 
@@ -93,7 +93,7 @@ def test_the_path_deviation_accepts_traces_of_chips():
 
 @pytest.mark.parametrize(("distances", "distance"), [((1, 1), 0), ((2, 1), 1 / math.sqrt(5)), ((50_000, 100), 0.998)])
 def test_perfect_axes_deviate_by_a_staircase(distances, distance):
-    assert compute_perfect_deviation(distances) == pytest.approx(distance, abs=1e-4)
+    assert compute_staircase_deviation(distances) == pytest.approx(distance, abs=1e-4)
 
 
 def test_path_points_merge_the_pulses_of_all_axes():

@@ -14,7 +14,7 @@ from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240 import follower_register_search, line_register_search
-from stage.firmware.pcl240.emulated_preset_move import trace_row
+from stage.firmware.pcl240.emulated_preset_move import trace_preset_move
 from stage.firmware.pcl240.line_register_search import compute_equivalent_linear_steps
 from stage.firmware.pcl240.preset_move_closed_form import (
     compute_ramp_ticks,
@@ -39,7 +39,7 @@ def test_the_closed_form_equals_the_chip_to_the_clock():
         up, down = (2, 2) if fh == fl else (rng.randint(2, 3000), rng.randint(2, 3000))
         r6 = rng.choice((0, rng.randint(1, 4000)))  # triangles and runs that never leave FL among them
         r = np.array([rng.randint(1, 3000), fl, fh, fh, up, down, r6, rng.randint(2, 1023)])
-        pulses, c = trace_row(r), np.zeros(4, np.int64)
+        pulses, c = trace_preset_move(r), np.zeros(4, np.int64)
         fill_motion(r, c)
         assert c[3] == pulses[-1], r
         at = [int(count_pulses(r, c, float(t))) for t in pulses]

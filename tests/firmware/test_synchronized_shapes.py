@@ -13,7 +13,7 @@ from support.examples import SEED, assert_axes_are_named, scaled
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.pcl240.emulated_preset_move import trace_row
+from stage.firmware.pcl240.emulated_preset_move import trace_preset_move
 from stage.firmware.pcl240.preset_move_closed_form import count_pulses, fill_motion, set_s_curve_registers
 
 FAMILY = (PCL240K, PCL240MK, PCL240MS)
@@ -146,8 +146,8 @@ def test_an_automatic_plan_makes_the_same_pulses_as_one_with_r6(chip, bits, s_cu
         report = synchronized_move(p, bench(chip, "xyz", bus_cycle=0.0))
         for n, a in p.axes.items():
             assert a.registers["R4"] == a.registers["R5"]
-            assert a.registers["R6"] == (a.offset % (1 << bits) if a.automatic else a.down_point)
-            replica = trace_row(a.row, chip)
+            assert a.registers["R6"] == (a.ramp_down_offset % (1 << bits) if a.automatic else a.down_point)
+            replica = trace_preset_move(a.row, chip)
             assert a.row[6] == a.down_point
             assert (
                 np.rint((report.paths[n][0] - report.paths[n][0][0]) * a.clock_hz).tolist()
@@ -157,7 +157,7 @@ def test_an_automatic_plan_makes_the_same_pulses_as_one_with_r6(chip, bits, s_cu
 
 def test_a_negative_offset_is_written_as_a_twos_complement():
     p = plan({"x": 210, "y": 8000}, rate=79_000, fl=1100, accel=0.08, chips=PCL240MK, automatic=True)
-    assert p.axes["x"].offset == -1
+    assert p.axes["x"].ramp_down_offset == -1
     assert p.axes["x"].registers["R6"] == 0xFFFFF
     assert str(p).splitlines()[1].split()[8] == "-1"
     chips = bench(PCL240MK)
@@ -246,7 +246,7 @@ def test_the_closed_form_of_s_curves_equals_the_chip_within_a_thousandth_of_a_pu
         rates = rng.randint(2, 3000), rng.randint(2, 3000)
         r = np.array([rng.randint(1, 3000), fl, fh, fh, *rates, r6, rng.randint(2, 1023), 0, 0])
         set_s_curve_registers(r, rng.choice((0.02, 0.2, 0.4, 0.5)))
-        pulses, c = trace_row(r, PCL240MS), np.zeros(4, np.int64)
+        pulses, c = trace_preset_move(r, PCL240MS), np.zeros(4, np.int64)
         fill_motion(r, c)
         assert abs(c[3] - pulses[-1]) <= 3, r
         made = np.array([count_pulses(r, c, float(t)) for t in pulses])
@@ -331,7 +331,7 @@ def test_the_printed_plan_has_the_registers_of_its_chips():
     assert x.split()[10:12] == ["9000h", "0"]
     assert len(y.split()) == len(x.split()) - 2
     automatic = plan({"x": 20_000}, chips=PCL240MK, automatic=True)
-    assert str(automatic).splitlines()[1].split()[8] == f"{automatic.axes['x'].offset:+}"
+    assert str(automatic).splitlines()[1].split()[8] == f"{automatic.axes['x'].ramp_down_offset:+}"
 
 
 def test_the_plot_of_an_s_curve_move_is_written(tmp_path):

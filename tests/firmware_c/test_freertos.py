@@ -201,7 +201,9 @@ def test_freertos_itself_sleeps_and_wakes_by_interrupt(firmware):
 
 
 @needs_kernel
-@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
+@pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
+)
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
 def test_the_original_freertos_port_runs_on_a_cortex_m3(tmp_path):
     """SVC, PendSV, SysTick, BASEPRI and both stacks as FreeRTOS uses them."""

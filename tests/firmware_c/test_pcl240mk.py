@@ -166,7 +166,9 @@ def test_random_lines_stay_within_two_and_a_half_pulses(library):
             assert move.pulses == distances[k]
             row = np.array([abs(move.pulses), s.R1, s.R2, s.R2, s.R4, s.R5, move.R6, s.R7], np.int64)
             started = order.index(k) * 1e-6
-            paths.append((emulated_preset_move.trace_row(row, PCL240MK) / PCL240MK.DEFAULT_CLOCK_HZ + started, 1))
+            paths.append(
+                (emulated_preset_move.trace_preset_move(row, PCL240MK) / PCL240MK.DEFAULT_CLOCK_HZ + started, 1)
+            )
         max_distance.append(compute_path_deviation(paths, np.abs(distances).tolist()).pulses)
     print(f"median {np.median(max_distance):.2f}, largest {max(max_distance):.2f}")
     assert np.median(max_distance) <= 1.5

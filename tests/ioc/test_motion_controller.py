@@ -7,7 +7,7 @@ import weakref
 import pytest
 
 from stage import Stage, firmware
-from stage.ioc.motion_controller import MotionController, Profile
+from stage.ioc.motion_controller import MotionController, MotionProfile
 from stage.tune import compute_top_speed
 
 
@@ -16,8 +16,8 @@ def test_a_closed_controller_leaves_neither_threads_nor_its_stage():
     stage = Stage("xyz", chips="pcl240mk", visuals=False)
     controller = MotionController(stage, pace=1.0, publish=lambda readings: None)
     for name in "xy":
-        controller.begin(name, lambda axis: axis.begin_move(10.0, Profile(1.0, 0.0, 0.1)))
-    controller.call(lambda stage: None).result(20)
+        controller.begin_axis_action(name, lambda axis: axis.begin_move(10.0, MotionProfile(1.0, 0.0, 0.1)))
+    controller.post_to_worker(lambda stage: None).result(20)
     assert len(set(threading.enumerate()) - threads) == 3, "a worker, and a procedure of each axis"
     controller.close()
     assert set(threading.enumerate()) <= threads

@@ -12,7 +12,7 @@ from loops.rows import CELL, by_address, by_name, cleared, joined, on_the_stack,
 
 from stage import ArgumentError
 from stage.chips import PCL240K
-from stage.native import COMPILED, Exported, address_of, array_at, greatest, least, record_dtypes
+from stage.native import COMPILED, ExportedFunction, address_of, array_at, greatest, least, record_dtypes
 
 TESTS = Path(__file__).parents[1]
 
@@ -74,7 +74,7 @@ def test_it_has_the_docstring_of_its_function():
 
 
 def test_no_two_of_them_have_the_same_symbol():
-    symbols = [f.symbol for f in Exported.every]
+    symbols = [f.symbol for f in ExportedFunction.every]
     assert len(symbols) == len(set(symbols))
 
 
@@ -136,8 +136,8 @@ def test_arrays_are_refused_likewise():
 @pytest.mark.skipif(not COMPILED, reason="Python looks by itself")
 @pytest.mark.parametrize("argument", ["fast", None, [1.0]])
 def test_a_number_that_is_none_is_refused_likewise(argument):
-    halved = Exported(lambda x: x / 2, "f8", ("f8",))
-    Exported.every.remove(halved)
+    halved = ExportedFunction(lambda x: x / 2, "f8", ("f8",))
+    ExportedFunction.every.remove(halved)
     with pytest.raises(ArgumentError, match=r"argument 1: .*it takes a number"):
         halved(argument)
 

@@ -153,7 +153,7 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
     def depends(texts):
         for name, text in texts.items():
             (tmp_path / f"{name}.py").write_text(text)
-        return library_builder._find_dependencies(["toy.caller"], known)
+        return library_builder._digest_dependencies(["toy.caller"], known)
 
     before, after = depends(texts), depends(texts | {file: texts[file].replace(old, new)})
     compiled_in = file == "callee" and imported != "plain"
@@ -164,9 +164,9 @@ def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
     places = library_manifest.find_package_folders("stage")
     known = {module: Path(source) for module, source in library_manifest.list_modules(places)}
     parts = library_builder._list_parts("stage", places)
-    assert [name for name in parts if "stage.sim.engine" in library_builder._find_dependencies(parts[name], known)] == [
-        "stage.sim"
-    ]
+    assert [
+        name for name in parts if "stage.sim.engine" in library_builder._digest_dependencies(parts[name], known)
+    ] == ["stage.sim"]
 
 
 def test_a_terminal_shows_the_progress_of_a_build(monkeypatch):
@@ -354,7 +354,7 @@ def run_emit_to(place):
         "import multiprocessing as m, sys\nfrom pathlib import Path\nfrom stage.native import object_emitter\n"
         "object_emitter.emit_object = lambda *_: b'made'\n"
         f"object_emitter.write_object = lambda path, made: Path({place!r}).write_bytes(made)\n"
-        "object_emitter._emit_next_part(m.Value('q'), [['toy.o', 'toy.core']], None)"
+        "object_emitter._emit_remaining_parts(m.Value('q'), [['toy.o', 'toy.core']], None)"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, env=os.environ | {"PULSESTAGE_EMIT": "1"}

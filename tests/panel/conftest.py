@@ -14,7 +14,7 @@ from support.served_panel import ServedPanel
 
 from stage import Stage
 from stage.panel.sampler import Sampler
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 
 TOUR_COOKIE = "pulsestage_tour"
 
@@ -235,7 +235,7 @@ class Bench:
 
     def fresh(self):
         """Reset the page to its first state, and the stage to power-up, in real time."""
-        for active in reversed(self.panel.fault_controls.in_force):
+        for active in reversed(self.panel.fault_controls.faults_in_force):
             self.panel.fault_controls.clear_fault(active)
         self.panel.fault_controls.set_payload(0.0)
         self.session.reset()
@@ -282,7 +282,7 @@ def bench(_bench):
 @pytest.fixture(scope="module")
 def session():
     """Session of xy, paused until a test lets time pass."""
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         yield session
 
 

@@ -169,11 +169,11 @@ def test_a_leaving_browser_passes_the_controls_to_the_next():
     controls = ControlsAssignment()
     for who in "abc":
         controls.add_browser(who)
-    controls.remove_browser("b")
+    controls.disconnect_browser("b")
     assert controls.holder == "a"
-    controls.remove_browser("a")
+    controls.disconnect_browser("a")
     assert (controls.holder, controls.browser_count) == ("c", 1)
-    controls.remove_browser("c")
+    controls.disconnect_browser("c")
     assert controls.holder is None
     controls.add_browser("d")
     assert controls.holder == "d"
@@ -189,7 +189,7 @@ def test_who_loses_the_controls_lets_go_of_what_he_holds():
     controls.give_controls_to("b")
     controls.give_controls_to("b")
     assert released == ["a"]
-    controls.remove_browser("a")
+    controls.disconnect_browser("a")
     assert released == ["a"]
-    controls.remove_browser("b")
+    controls.disconnect_browser("b")
     assert released == ["a", "b"]

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("nicegui")
 from stage.panel import browser_updates as lives
-from stage.panel.browser_updates import ANSWER_TIMEOUT_S, FRAMES, TEXT_INTERVAL_S, BrowserUpdates, TextLog
+from stage.panel.browser_updates import ANSWER_TIMEOUT_S, FRAMES_PER_S, TEXT_INTERVAL_S, BrowserUpdates, TextLog
 
 
 @pytest.fixture
@@ -45,9 +45,9 @@ def element(number):
 def test_only_changes_are_sent_and_texts_ten_times_a_second_at_most(live):
     text, lamp = {1: "a", 2: "b"}, {3: False, 4: True}
     for k in text:
-        assert live.show_text(one := element(k), lambda k=k: text[k]) is one
+        assert live.bind_text(one := element(k), lambda k=k: text[k]) is one
     for k in lamp:
-        assert live.show_lamp(one := element(k), lambda k=k: lamp[k]) is one
+        assert live.bind_lamp(one := element(k), lambda k=k: lamp[k]) is one
     assert frame(live) == ([(1, "a"), (2, "b")], [(3, False), (4, True)], [])
     assert frame(live, TEXT_INTERVAL_S) is None
     text[2], lamp[3] = "c", True
@@ -57,13 +57,13 @@ def test_only_changes_are_sent_and_texts_ten_times_a_second_at_most(live):
     lamp[4] = False
     assert frame(live) == ([], [(4, False)], [])
     assert frame(live, TEXT_INTERVAL_S * 0.6) == ([(1, "d")], [], [])
-    assert 1 / FRAMES < TEXT_INTERVAL_S
+    assert 1 / FRAMES_PER_S < TEXT_INTERVAL_S
 
 
 def test_a_method_is_called_at_the_requested_interval_and_only_with_new_values(live):
     requested, arguments = [], {"often": [1], "seldom": [2]}
-    live.call_method(element(7), "often", lambda: arguments["often"])
-    live.call_method(element(8), "seldom", lambda: requested.append(1) or arguments["seldom"], 0.5)
+    live.call_method_repeatedly(element(7), "often", lambda: arguments["often"])
+    live.call_method_repeatedly(element(8), "seldom", lambda: requested.append(1) or arguments["seldom"], 0.5)
     assert frame(live) == ([], [], [(7, "often", [1]), (8, "seldom", [2])])
     assert frame(live, 0.4) == ([], [], [(7, "often", [1])])
     assert len(requested) == 1, "it is not even looked at"
@@ -76,8 +76,8 @@ def test_a_method_is_called_at_the_requested_interval_and_only_with_new_values(l
 
 
 def test_who_did_not_answer_is_sent_everything_again(live):
-    live.show_lamp(element(3), lambda: True)
-    live.show_text(element(1), lambda: "a")
+    live.bind_lamp(element(3), lambda: True)
+    live.bind_text(element(1), lambda: "a")
     live.answers = False
     assert frame(live)
     live.answers = True
@@ -87,8 +87,8 @@ def test_who_did_not_answer_is_sent_everything_again(live):
 
 def test_what_is_gone_from_the_page_is_looked_at_no_more(live):
     gone, requested = element(3), []
-    live.show_lamp(gone, lambda: requested.append(1) or len(requested) % 2 == 0)
-    live.show_lamp(element(4), lambda: len(requested))
+    live.bind_lamp(gone, lambda: requested.append(1) or len(requested) % 2 == 0)
+    live.bind_lamp(element(4), lambda: len(requested))
     assert frame(live)[1] == [(3, False), (4, 1)]
     gone.is_deleted = True
     assert frame(live, 1.0) is None

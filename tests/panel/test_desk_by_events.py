@@ -12,9 +12,9 @@ from support.served_panel import ServedPanel
 from stage.errors import StageError
 from stage.panel import chip_panel as chips
 from stage.panel import oscilloscope_page as charts
-from stage.panel.oscilloscope import SPANS, OscilloscopeFrame
+from stage.panel.front_panel_content import BusCycle, FrontPanel
+from stage.panel.oscilloscope import WINDOW_LENGTHS_S, OscilloscopeFrame
 from stage.panel.page import READOUT, format_readout
-from stage.panel.register_text import BusCycle, FrontPanel
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def _as_at_first(served, page):
     page.said.clear()
     yield
     served.leave(but=1)
-    for created in reversed(served.panel.fault_controls.in_force):
+    for created in reversed(served.panel.fault_controls.faults_in_force):
         served.panel.fault_controls.clear_fault(created)
     served.panel.fault_controls.set_payload(0.0)
 
@@ -91,7 +91,7 @@ def test_load_and_supply_are_what_the_sliders_say_and_every_page_follows(served,
     assert call_on_stage(served, lambda stage: stage.payload()) == 0.5
     assert call_on_stage(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [20, 20]
     page.fire("supply", "change", 24)
-    page.until(lambda: not served.panel.fault_controls.in_force)
+    page.until(lambda: not served.panel.fault_controls.faults_in_force)
     assert call_on_stage(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [24, 24]
     page.fire("payload", "change", -1)
     page.until(lambda: page.said)
@@ -145,11 +145,11 @@ def test_faults_are_of_the_selected_axis_and_cleared_one_by_one(served, page):
         page.put("breaking", "switch_stuck")
         page.put("break-pin", pin)
         page.put("break-closed", closed)
-        before = len(fault_controls.in_force)
+        before = len(fault_controls.faults_in_force)
         page.click("break")
-        page.until(lambda n=before: len(fault_controls.in_force) == n + 1)
-        assert fault_controls.in_force[-1].request == ("switch_stuck", axis, {"pin": pin, "closed": closed})
-    texts = [created.text for created in fault_controls.in_force]
+        page.until(lambda n=before: len(fault_controls.faults_in_force) == n + 1)
+        assert fault_controls.faults_in_force[-1].request == ("switch_stuck", axis, {"pin": pin, "closed": closed})
+    texts = [created.text for created in fault_controls.faults_in_force]
     page.until(lambda: len(page.all("clear-fault")) == 3)
     listed = [e.text for e in page.find("in-force").descendants() if getattr(e, "text", "") in texts]
     assert listed == texts
@@ -157,7 +157,7 @@ def test_faults_are_of_the_selected_axis_and_cleared_one_by_one(served, page):
     messages = page.until(lambda: page.said)
     assert "is in force already" in messages[0]
     page.click("clear-fault", 1)
-    page.until(lambda: [created.text for created in fault_controls.in_force] == [texts[0], texts[2]])
+    page.until(lambda: [created.text for created in fault_controls.faults_in_force] == [texts[0], texts[2]])
     page.until(lambda: len(page.all("clear-fault")) == 2)
     assert page.all("clear-fault")[1].props["aria-label"] == f"clear {texts[2]}".replace('"', "'")
 
@@ -168,7 +168,7 @@ def test_an_error_of_a_fault_is_at_its_field(served, page):
     page.put(field, "much")
     page.click("break")
     page.until(lambda: "'much' is not a number" in page.error(field))
-    assert not served.panel.fault_controls.in_force
+    assert not served.panel.fault_controls.faults_in_force
 
 
 # --- console ---
@@ -411,7 +411,7 @@ def test_what_rests_is_drawn_seldom_and_what_moves_as_it_comes(served, page, mon
 
 def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypatch):
     chart, requested = chart_of(page), []
-    for span in SPANS[:3]:
+    for span in WINDOW_LENGTHS_S[:3]:
         page.put("span", span)
         assert chart.scope.window_s == span
     monkeypatch.setattr(chart.scope, "set_trigger", lambda *wanted: requested.append(wanted))

@@ -36,7 +36,7 @@ def test_a_second_attempt_at_a_fault_shows_only_its_own_errors(served, page):
     page.click("break")
     page.until(lambda: "is not a number" in page.error("break-seconds"))
     assert page.error("break-toggles") == ""
-    assert not served.panel.fault_controls.in_force
+    assert not served.panel.fault_controls.faults_in_force
 
 
 def test_an_error_at_the_force_is_removed_when_the_motor_is_stronger(served, page):

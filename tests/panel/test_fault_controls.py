@@ -9,13 +9,13 @@ from stage.drives.motors import MOTORS
 from stage.errors import ArgumentError, StageError
 from stage.panel.fault_controls import FaultControls, compute_user_push_limit, list_fault_functions
 from stage.panel.procedure_forms import FieldError
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 from stage.panel.stage_thread import describe_escape
 
 
 @pytest.fixture(scope="module")
 def session():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         yield session
 
 
@@ -24,7 +24,7 @@ def controls(session):
     session.reset()
     controls = FaultControls(session)
     yield controls
-    for active in reversed(controls.in_force):
+    for active in reversed(controls.faults_in_force):
         controls.clear_fault(active)
     controls.close()
 
@@ -64,7 +64,7 @@ def test_each_fault_can_be_made_and_cleared(controls, session, name, texts):
     assert session.stage.faults == (active.text,)
     controls.clear_fault(active)
     assert session.stage.faults == ()
-    assert controls.in_force == []
+    assert controls.faults_in_force == []
 
 
 def test_the_motors_of_an_axis_are_those_that_its_chip_can_drive(controls):
@@ -80,7 +80,7 @@ def test_the_motors_of_an_axis_are_those_that_its_chip_can_drive(controls):
 def test_time_does_not_go_back_over_a_motor_that_was_changed(controls, session):
     def pass_time(seconds):
         session.do(lambda stage: session.run_unpaced(stage.run, seconds))
-        session.do(session._history.remember)
+        session.do(session._history.take_snapshot_if_due)
 
     for _ in range(2):
         pass_time(0.1)
@@ -158,9 +158,9 @@ def test_load_and_supply(controls, session):
     controls.set_supply(12.0)
     controls.set_supply(10.0)
     assert {a.faults.bus_voltage for a in session.stage.axes.values()} == {10.0}
-    assert len(controls.in_force) == 1
+    assert len(controls.faults_in_force) == 1
     controls.set_supply(nominal)
-    assert controls.in_force == []
+    assert controls.faults_in_force == []
     assert controls.supply == nominal
 
 
@@ -177,7 +177,7 @@ def test_a_wrong_value_is_an_error_at_its_field(controls, name, texts, field):
     with pytest.raises(FieldError) as wrong:
         controls.make_fault(name, "x", texts)
     assert wrong.value.field == field
-    assert controls.in_force == []
+    assert controls.faults_in_force == []
 
 
 def test_what_the_fault_refuses_is_passed_on(controls):
@@ -212,6 +212,6 @@ def test_what_is_broken_already_is_not_broken_again(controls):
     active = controls.make_fault(*requested)
     with pytest.raises(ArgumentError, match="org stuck closed: this fault is in force already"):
         controls.make_fault(*requested)
-    assert controls.in_force == [active]
+    assert controls.faults_in_force == [active]
     controls.clear_fault(active)
     assert controls.make_fault(*requested).fault.in_force

@@ -7,7 +7,7 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import RunTimeout, StageError
 from stage.panel.procedure_forms import FORMS
-from stage.panel.session import FREE
+from stage.panel.session import UNPACED_SPEED
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def session(served, page):
     session = served.session
     session.reset()
     page.within(served.panel.reports._outcomes.clear)
-    session.speed, session.paused = FREE, False
+    session.speed, session.paused = UNPACED_SPEED, False
     page.put("procedure-axis", "y")
     page.put("procedure-axis", "x")  # the forms are as at first
     tab(page, "move")
@@ -276,7 +276,7 @@ def test_an_axis_stopped_with_a_ramp_decelerates_to_rest(page, session):
     session.speed = 1.0
     page.click("go-move")
     page.until(lambda: session.do(lambda stage: stage.axes["x"].commanded) > 1e-4)
-    session.speed = FREE
+    session.speed = UNPACED_SPEED
     page.click("stop")
     page.until(lambda: not session.busy)
     at, busy = session.do(lambda stage: (stage.axes["x"].commanded, stage.axes["x"].chip.busy(0)))

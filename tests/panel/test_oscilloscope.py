@@ -11,7 +11,7 @@ from vcd.reader import TokenKind, tokenize
 
 from stage import firmware
 from stage.errors import ArgumentError
-from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, FORMATS, LOST, Oscilloscope
+from stage.panel.oscilloscope import DIAGNOSTIC, FORMATS, LOST, PRETRIGGER_SHARE, Oscilloscope
 from stage.sim import faults
 from stage.support.identifier_escapes import unescape_name
 
@@ -30,7 +30,7 @@ def test_the_trigger_is_at_the_edge_of_the_trace(session, sampler):
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     frame = scope.capture_frame(100)
     assert frame.state == "frozen"
-    assert frame.begin == pytest.approx(frame.trigger - BEFORE * 0.05)
+    assert frame.begin == pytest.approx(frame.trigger - PRETRIGGER_SHARE * 0.05)
     times, rate = frame.curves["x/rate"]
     k = np.searchsorted(times, frame.trigger)
     assert rate[k - 1] < 8000 <= rate[k]
@@ -142,7 +142,9 @@ def test_a_stopped_picture_has_the_same_end_or_trigger_in_another_window(session
     run_at_once(session, session.stage.run, 0.2)
     displayed, caught = free.capture_frame(10), single.capture_frame(10)
     assert (displayed.begin, displayed.end) == pytest.approx((end - 0.02, end))
-    assert (caught.begin, caught.end) == pytest.approx((trigger - BEFORE * 0.01, trigger + (1 - BEFORE) * 0.01))
+    assert (caught.begin, caught.end) == pytest.approx(
+        (trigger - PRETRIGGER_SHARE * 0.01, trigger + (1 - PRETRIGGER_SHARE) * 0.01)
+    )
 
 
 def test_a_window_that_cannot_be_is_refused(sampler):

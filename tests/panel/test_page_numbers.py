@@ -11,7 +11,7 @@ from stage import Stage
 from stage.panel import oscilloscope_page as chart
 from stage.panel.fault_controls import compute_user_push_limit
 from stage.panel.page import Toolbar, format_readout
-from stage.panel.session import FREE
+from stage.panel.session import UNPACED_SPEED
 from stage.panel.stage_thread import describe_escape
 
 
@@ -19,7 +19,7 @@ from stage.panel.stage_thread import describe_escape
     ("paused", "speed", "pace", "says"),
     [
         (True, 1.0, 0.0, "stands still"), (False, 1.0, 0.96, "0.96 x"), (False, 1.0, 0.94, "0.94 x, cannot keep up"),
-        (False, 2.0, 1.0, "1.00 x, cannot keep up"), (False, FREE, 0.5, "0.50 x"),
+        (False, 2.0, 1.0, "1.00 x, cannot keep up"), (False, UNPACED_SPEED, 0.5, "0.50 x"),
     ],
 )  # fmt: skip
 def test_a_stage_cannot_keep_up_where_it_lags_by_more_than_a_twentieth(paused, speed, pace, says):

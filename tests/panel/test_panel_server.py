@@ -21,7 +21,7 @@ from stage.panel import open as open_panel
 from stage.panel import server
 from stage.panel.access_control import CONTENT_POLICY
 from stage.panel.server import Panel
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 from stage.panel.stage_scene import mesh_to_stl
 
 
@@ -42,7 +42,7 @@ def other():
 
 
 def test_each_mesh_is_served_as_stl_and_any_other_is_not_found():
-    with Session(Stage("xy"), speed=FREE, paused=True) as session, Panel(session) as panel:
+    with Session(Stage("xy"), speed=UNPACED_SPEED, paused=True) as session, Panel(session) as panel:
         model = session.stage.model
         assert model.nmesh > 0
         for mesh in range(model.nmesh):
@@ -70,7 +70,7 @@ def test_a_page_by_another_name_or_from_elsewhere_is_refused(served):
 
 
 def test_only_a_server_for_other_machines_requires_the_token():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         with Panel(session, host="localhost") as panel:
             bare, _, token = panel.address.partition("?token=")
             assert (bare, len(token) > 20) == (f"http://localhost:{panel.port}/", True)
@@ -85,7 +85,7 @@ def test_only_a_server_for_other_machines_requires_the_token():
 
 
 def test_closing_a_panel_leaves_the_session_and_no_observers():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         panel = Panel(session)
         panel.fault_controls.push("x", 3.0)
         assert session._observers

@@ -21,7 +21,7 @@ from stage.panel.procedure_forms import (
     parse_fields,
     to_field_error,
 )
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_a_circle_is_drawn_by_the_chips_that_can(fresh):
 
 @pytest.mark.slow
 def test_a_report_is_drawn(fresh):
-    assert forms.draw_operation_pattern(firmware.move(fresh.axes["x"], 1e-3)).startswith("<svg")
+    assert forms.render_operation_pattern_svg(firmware.move(fresh.axes["x"], 1e-3)).startswith("<svg")
 
 
 # --- fields ---
@@ -300,9 +300,9 @@ def test_a_jog_from_an_end_limit_runs_in_the_other_direction_only(chips):
 
 
 def test_an_axis_runs_in_a_session_until_release():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         jog = Jog(session.stage.axes["x"], 1, {"speed": "10"})
-        future = session.act("jog x", jog.run)
+        future = session.queue_action("jog x", jog.run)
         session.paused = False
         while session.view.time < 0.5:
             pass

@@ -9,7 +9,7 @@ from support.waiting import wait_until
 
 from stage import Stage, firmware
 from stage.errors import StageError
-from stage.panel.session import FREE, ActionStopped, Session
+from stage.panel.session import UNPACED_SPEED, ActionStopped, Session
 from stage.panel.stage_observer import BusTrace
 
 
@@ -24,7 +24,7 @@ def program(stage):
 
 @pytest.fixture
 def session():
-    with Session(Stage("xy", visuals=False), speed=FREE, program="a test") as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, program="a test") as session:
         yield session
 
 
@@ -68,7 +68,7 @@ def test_no_time_passes_but_by_the_program_and_it_is_in_real_time(session):
 
 def test_a_suspended_program_waits_and_then_continues(session):
     stage = session.stage
-    session.take_over()
+    session.suspend_program()
     wait_until(lambda: session.view.time > 0.05)  # the session lets time pass
     driver = Driver(lambda: program(stage))
     wait_until(lambda: session.program_waits)
@@ -77,7 +77,7 @@ def test_a_suspended_program_waits_and_then_continues(session):
     assert move.ok
     assert session.do(lambda stage: stage.axes["x"].commanded) == pytest.approx(at, abs=1e-9)
     assert driver.is_alive()
-    session.give_back()
+    session.resume_program()
     driver.result()
     assert stage.axes["x"].commanded == pytest.approx(at + 0.002)
     assert not session.program_waits
@@ -89,14 +89,14 @@ def test_a_suspended_program_waits_and_then_continues(session):
 def test_a_program_may_call_its_session_while_the_session_drives(session):
     stage = session.stage
     stage.run(0.001)
-    session.take_over()
+    session.suspend_program()
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.0)
     requested = []
     driver = Driver(
         lambda: stage.run_until(lambda: requested.append(session.do(lambda s: s.time)) or len(requested) > 2, 1.0)
     )
     wait_until(lambda: session.program_waits)
-    session.give_back()
+    session.resume_program()
     driver.result()
     assert len(requested) == 3
 
@@ -113,11 +113,11 @@ def test_a_paused_session_lets_no_time_pass(session):
 
 @pytest.mark.parametrize("end", ["close", "dismiss"])
 def test_a_program_that_waits_is_let_go_at_the_end(session, end):
-    session.take_over()
+    session.suspend_program()
     wait_until(lambda: session.view.time > 0)
     driver = Driver(lambda: session.stage.axes["x"].chip.read(0) if end == "close" else session.catch_up())
     wait_until(lambda: session.program_waits)
-    getattr(session, {"close": "close", "dismiss": "dismiss_program"}[end])()
+    getattr(session, {"close": "close", "dismiss": "detach_program"}[end])()
     driver.result()
 
 
@@ -125,7 +125,7 @@ def test_a_program_that_waits_is_let_go_at_the_end(session, end):
 def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, state):
     session.speed = 1.0
     if state == "taken over":
-        session.take_over()
+        session.suspend_program()
         wait_until(lambda: session.view.time > 0)
     session.paused = state == "paused"
     end_times = []
@@ -147,7 +147,7 @@ def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, st
 
 def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):
     session.stage.run(0.001)
-    session.dismiss_program()
+    session.detach_program()
     wait_until(lambda: session.view.time > 0.05)
     with pytest.raises(StageError, match="lives in a session"):
         session.stage.run(0.01)

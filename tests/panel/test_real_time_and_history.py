@@ -7,7 +7,7 @@ import pytest
 
 from stage.errors import ArgumentError
 from stage.panel import real_time_clock
-from stage.panel.real_time_clock import FREE, MAX_LAG_S, SLICE_S, RealTimeClock
+from stage.panel.real_time_clock import MAX_LAG_S, PACING_INTERVAL_S, UNPACED_SPEED, RealTimeClock
 from stage.panel.snapshot_history import INTERVAL_S, MAX_AGE_S, SnapshotHistory
 
 MS = 1_000_000  # ns
@@ -24,44 +24,46 @@ def real(monkeypatch):
 @pytest.mark.parametrize(("speed", "slice_"), [(1.0, 20), (0.5, 10)])
 def test_a_slice_is_what_passes_in_a_fiftieth_of_a_second(real, speed, slice_):
     clock = RealTimeClock(speed, 5 * MS)
-    assert clock.slice_s == pytest.approx(slice_ * 1e-3) == pytest.approx(SLICE_S * speed)
-    assert clock.plan_slice(5 * MS, 1000 * MS, 1) == (5 + slice_) * MS
-    assert clock.plan_slice(5 * MS, 7 * MS, 1) == 7 * MS, "no farther than asked"
-    assert clock.plan_slice(5 * MS, 1000 * MS, 300 * MS) == 305 * MS, "but a step at least"
+    assert clock.pacing_interval_s == pytest.approx(slice_ * 1e-3) == pytest.approx(PACING_INTERVAL_S * speed)
+    assert clock.plan_pacing_interval(5 * MS, 1000 * MS, 1) == (5 + slice_) * MS
+    assert clock.plan_pacing_interval(5 * MS, 7 * MS, 1) == 7 * MS, "no farther than asked"
+    assert clock.plan_pacing_interval(5 * MS, 1000 * MS, 300 * MS) == 305 * MS, "but a step at least"
 
 
 def test_early_times_wait_and_late_ones_catch_up_within_limits(real):
     clock = RealTimeClock(2.0, 0)
-    assert clock.seconds_until(100 * MS, 0) == pytest.approx(0.05)
+    assert clock.compute_seconds_until(100 * MS, 0) == pytest.approx(0.05)
     real.now += 0.03
-    assert clock.seconds_until(100 * MS, 0) == pytest.approx(0.02)
+    assert clock.compute_seconds_until(100 * MS, 0) == pytest.approx(0.02)
     real.now += 0.1
-    assert clock.seconds_until(100 * MS, 60 * MS) == pytest.approx(-0.08), "it may catch up"
+    assert clock.compute_seconds_until(100 * MS, 60 * MS) == pytest.approx(-0.08), "it may catch up"
     real.now += MAX_LAG_S
-    assert clock.seconds_until(100 * MS, 60 * MS) < -MAX_LAG_S
-    assert clock.seconds_until(100 * MS, 60 * MS) == pytest.approx(0.02), "and from now on as if nothing were late"
+    assert clock.compute_seconds_until(100 * MS, 60 * MS) < -MAX_LAG_S
+    assert clock.compute_seconds_until(100 * MS, 60 * MS) == pytest.approx(0.02), (
+        "and from now on as if nothing were late"
+    )
 
 
 def test_an_unlimited_speed_never_waits(real):
-    clock = RealTimeClock(FREE, 0)
-    assert (clock.slice_s, clock.seconds_until(10**12, 0)) == (SLICE_S, 0.0)
-    assert clock.plan_slice(0, 10**12, 1) == 20 * MS
-    assert clock.plan_slice(0, 5 * MS, 1) == 5 * MS
+    clock = RealTimeClock(UNPACED_SPEED, 0)
+    assert (clock.pacing_interval_s, clock.compute_seconds_until(10**12, 0)) == (PACING_INTERVAL_S, 0.0)
+    assert clock.plan_pacing_interval(0, 10**12, 1) == 20 * MS
+    assert clock.plan_pacing_interval(0, 5 * MS, 1) == 5 * MS
 
 
 def test_a_slow_machine_gets_shorter_slices_so_that_orders_are_checked_as_often(real):
     """At 1000 x a slice would be 20 s of simulated time; a machine that computes 50 x gets one of 0.5 s."""
     clock, now, lengths = RealTimeClock(1000.0, 0), 0, []
     for _ in range(8):
-        goal = clock.plan_slice(now, 10**15, 1)
+        goal = clock.plan_pacing_interval(now, 10**15, 1)
         lengths.append((goal - now) / MS)
-        clock.start_slice(now)
+        clock.start_pacing_interval(now)
         real.now += (goal - now) * 1e-9 / 50
         now = goal
     assert lengths == pytest.approx([20, 40, 80, 160, 320, 500, 500, 500]), "it begins with what any machine can"
-    clock.plan_slice(now, 10**15, 1)
+    clock.plan_pacing_interval(now, 10**15, 1)
     real.now += 5.0  # somebody has paused meanwhile
-    assert clock.plan_slice(now, 10**15, 1) - now == pytest.approx(500 * MS)
+    assert clock.plan_pacing_interval(now, 10**15, 1) - now == pytest.approx(500 * MS)
 
 
 def test_a_pace_is_measured_over_a_quarter_of_a_second_and_more(real):
@@ -79,7 +81,7 @@ def test_a_pace_is_measured_over_a_quarter_of_a_second_and_more(real):
 
 
 def test_the_ends_of_a_speed_are_speeds():
-    for speed in (0.001, 1000.0, FREE, 1):
+    for speed in (0.001, 1000.0, UNPACED_SPEED, 1):
         assert RealTimeClock(speed, 0).speed == speed
     for wrong in (0.0009, 1000.1, -inf, float("nan")):
         with pytest.raises(ArgumentError, match=r"0\.001 to 1000 simulated seconds a second"):
@@ -100,7 +102,7 @@ def remembered(ms, past=None):
     past, stage = past or SnapshotHistory(), NumberedStage()
     for at in ms:
         stage.now = at * MS
-        past.remember(stage)
+        past.take_snapshot_if_due(stage)
     return past
 
 
@@ -135,7 +137,7 @@ def test_history_distinguishes_machines():
     past, stage = SnapshotHistory(), NumberedStage()
     for k, stage.machine in enumerate("abba" + "aab"):
         stage.now = 100 * k * MS
-        past.remember(stage)
+        past.take_snapshot_if_due(stage)
     assert past.find_oldest_of("b").at == 600 * MS
     past.forget_after(500 * MS)
     assert past.find_oldest_of("a").at == 300 * MS

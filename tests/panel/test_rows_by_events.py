@@ -11,8 +11,15 @@ pytest.importorskip("nicegui")
 from nicegui import ui
 
 from stage.panel import chip_panel as rows
-from stage.panel import register_text as front
-from stage.panel.register_text import describe_lamp, describe_value, format_value, is_fixed, list_choices, replace_field
+from stage.panel import front_panel_content as front
+from stage.panel.front_panel_content import (
+    describe_lamp,
+    describe_value,
+    format_value,
+    is_fixed,
+    list_choices,
+    replace_field,
+)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from stage import Stage, firmware
 from stage.errors import ArgumentError
-from stage.panel.sampler import FINE_S, INTERVAL_S, MAX_EVENTS, SampleBuffer, Sampler, find_traces, thin_curve
+from stage.panel.sampler import FINE_HISTORY_S, INTERVAL_S, MAX_EVENTS, SampleBuffer, Sampler, find_traces, thin_curve
 from stage.sim.engine_records import SAMPLE
 
 
@@ -97,7 +97,7 @@ def test_samples_that_were_returned_stay_when_the_buffer_moves(session, sampler)
     run(session, 0.1)
     times, values = sampler.read_columns(["x/position", "x/load_angle", "x/lost_steps"], 0, 1.0)
     before = [times.copy(), *(v.copy() for v in values.values())]
-    run(session, 2 * FINE_S)
+    run(session, 2 * FINE_HISTORY_S)
     for now, then in zip([times, *values.values()], before, strict=True):
         assert np.array_equal(now, then)
 
@@ -105,21 +105,21 @@ def test_samples_that_were_returned_stay_when_the_buffer_moves(session, sampler)
 def test_the_samples_of_long_windows_are_a_millisecond_apart_however_they_came(session, sampler):
     for k in range(30):
         run(session, 0.0102 + 0.00025 * (k % 5))
-    run(session, FINE_S)
+    run(session, FINE_HISTORY_S)
     times, _ = sampler.read_columns([], 0, 0.3)
     assert len(times) > 290
     assert np.diff(times) == pytest.approx(INTERVAL_S)
 
 
 def test_a_window_has_both_its_ends_and_is_fine_where_physics_steps_are_kept(session, sampler):
-    run(session, FINE_S + 0.5)
+    run(session, FINE_HISTORY_S + 0.5)
     fine, _ = sampler.read_columns([], 1.0, 1.1)
     assert (fine[0], fine[-1]) == pytest.approx((1.0, 1.1))
     assert np.diff(fine) == pytest.approx(sampler.dt)
     for end in (0.2, 2.0):
         coarse, _ = sampler.read_columns([], 0.1, end)
         assert np.diff(coarse) == pytest.approx(INTERVAL_S), "a window that begins earlier is of one kind"
-    assert sampler.last_time == pytest.approx(FINE_S + 0.5)
+    assert sampler.last_time == pytest.approx(FINE_HISTORY_S + 0.5)
     assert len(sampler.read_columns(["x/position"], 9.0, 10.0)[1]["x/position"]) == 0
 
 

@@ -25,7 +25,7 @@ from stage.errors import ArgumentError, StageError
 from stage.panel import saved_panel
 from stage.panel.saved_panel import ProgramCycle, SavedPanel
 from stage.panel.server import Panel
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 
 STAGE_OPTIONS = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
         "drive": None, "wiring": [], "multichip": None, "syni": []}  # fmt: skip
@@ -49,7 +49,9 @@ class PausedPanel:
     """A panel whose time stands still, of a stage made as `stage panel` makes one."""
 
     def __init__(self, options=STAGE_OPTIONS):
-        self.session = Session(Stage("xy", chips=options["chips"] if options else "pcl240ms"), speed=FREE, paused=True)
+        self.session = Session(
+            Stage("xy", chips=options["chips"] if options else "pcl240ms"), speed=UNPACED_SPEED, paused=True
+        )
         self.panel = Panel(self.session, stage_options=options)
 
     def after(self, what):
@@ -73,7 +75,7 @@ def first():
 @pytest.fixture(scope="module")
 def file(first, tmp_path_factory):
     path = tmp_path_factory.mktemp("shared") / "panel.zip"
-    path.write_bytes(saved_panel.save_panel(first.panel))
+    path.write_bytes(saved_panel.pack_panel(first.panel))
     return path
 
 
@@ -83,12 +85,12 @@ def test_a_file_with_another_motor_continues_bit_for_bit(tmp_path):
         saved.after(move)
         saved.panel.fault_controls.make_fault("motor", "x", {"motor": "SS2422-5041"})
         saved.after(lambda stage: stage.run(0.01))
-        path.write_bytes(saved_panel.save_panel(saved.panel))
+        path.write_bytes(saved_panel.pack_panel(saved.panel))
         saved_panel.restore_panel(opened.panel, saved_panel.read_saved_panel(path))
         assert opened.session.stage.axes["x"].drive.motor.name == "SS2422-5041"
         ends = [paused_panel.after(lambda stage: stage.run(0.3)) for paused_panel in (saved, opened)]
         assert np.array_equal(*ends)
-        (paused_panel,) = opened.panel.fault_controls.in_force
+        (paused_panel,) = opened.panel.fault_controls.faults_in_force
         opened.panel.fault_controls.clear_fault(paused_panel)
         assert opened.session.stage.axes["x"].drive.motor.name == "17HS4401"
     finally:
@@ -105,7 +107,7 @@ def test_a_restored_panel_continues_bit_for_bit(first, file):
             first.after(lambda stage: stage.run_to(end)), other.after(lambda stage: stage.run_to(end))
         )
         assert other.session.do(lambda stage: stage.axes["x"].commanded) > 0.005
-        assert saved_panel.write_program(other.panel, "program.py") == saved_panel.write_program(
+        assert saved_panel.format_program(other.panel, "program.py") == saved_panel.format_program(
             first.panel, "program.py"
         )
     finally:
@@ -118,11 +120,11 @@ def test_a_panel_restored_from_a_file_saves_the_start_of_that_program(tmp_path, 
     try:
         first.after(move)
         first.session.do(lambda stage: first.panel.observer.update_views(stage))
-        path.write_bytes(saved_panel.save_panel(first.panel))
+        path.write_bytes(saved_panel.pack_panel(first.panel))
         began = saved_panel.read_saved_panel(path).start
         assert 0 < began[0] <= first.session.do(lambda stage: stage.now)
         saved_panel.restore_panel(other.panel, saved_panel.read_saved_panel(path))
-        path.write_bytes(saved_panel.save_panel(other.panel))
+        path.write_bytes(saved_panel.pack_panel(other.panel))
         again = saved_panel.read_saved_panel(path).start
         assert (again[0], again[1].state.tobytes()) == (began[0], began[1].state.tobytes())
     finally:
@@ -138,7 +140,7 @@ def test_loads_and_faults_go_with_it(tmp_path):
         one.panel.fault_controls.make_fault("switch_stuck", "y", {"pin": "org", "closed": "yes"})
         one.after(move)
         path = tmp_path / "broken.zip"
-        path.write_bytes(saved_panel.save_panel(one.panel))
+        path.write_bytes(saved_panel.pack_panel(one.panel))
         saved_panel.restore_panel(other.panel, saved_panel.read_saved_panel(path))
         assert other.session.stage.faults == one.session.stage.faults
         assert other.panel.fault_controls.payload == 0.5
@@ -224,8 +226,8 @@ def test_a_stage_of_another_program_can_be_saved_but_not_written_as_a_program(tm
     try:
         paused_panel.after(move)
         with pytest.raises(StageError, match="a program of yours has made this stage"):
-            saved_panel.write_program(paused_panel.panel, "program.py")
-        data = saved_panel.save_panel(paused_panel.panel)
+            saved_panel.format_program(paused_panel.panel, "program.py")
+        data = saved_panel.pack_panel(paused_panel.panel)
         assert "program.py" not in zipfile.ZipFile(io.BytesIO(data)).namelist()
         path = tmp_path / "own.zip"
         path.write_bytes(data)
@@ -260,7 +262,7 @@ def test_another_file_is_refused(tmp_path, file):
     ],
 )
 def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, expected):
-    assert saved_panel.write_stage_call(STAGE_OPTIONS | option) == expected
+    assert saved_panel.format_stage_call(STAGE_OPTIONS | option) == expected
 
 
 def shared(sent=(), start=0, options=STAGE_OPTIONS, payloads=None):
@@ -291,11 +293,11 @@ def test_what_is_written_makes_the_stage_that_the_options_make(options):
         with pytest.raises(ArgumentError) as refused:
             make_stage(SimpleNamespace(**paused_panel), visuals=False)
         with pytest.raises(ArgumentError) as also:
-            eval(saved_panel.write_stage_call(paused_panel), {"Stage": Stage, "Drive": Drive})
+            eval(saved_panel.format_stage_call(paused_panel), {"Stage": Stage, "Drive": Drive})
         assert str(also.value) == str(refused.value)
         return
     expected = make_stage(SimpleNamespace(**paused_panel), visuals=False)
-    stage = eval(saved_panel.write_stage_call(paused_panel), {"Stage": Stage, "Drive": Drive})
+    stage = eval(saved_panel.format_stage_call(paused_panel), {"Stage": Stage, "Drive": Drive})
     assert stage.header == expected.header
     assert stage.bus_cycle == expected.bus_cycle
     for one, other in zip(stage.axes.values(), expected.axes.values(), strict=True):

@@ -10,7 +10,7 @@ from support.waiting import wait_until
 
 from stage import Stage, firmware
 from stage.errors import ArgumentError, StageError
-from stage.panel.session import FREE, RECOVERY_S, ActionStopped, Session
+from stage.panel.session import RECOVERY_S, UNPACED_SPEED, ActionStopped, Session
 from stage.panel.snapshot_history import INTERVAL_S
 from stage.panel.stage_thread import MAX_UNPACED_NS
 
@@ -21,7 +21,7 @@ PAUSED_IN_REAL_TIME = pytest.mark.parametrize("session", [{"paused": True, "spee
 @pytest.fixture
 def session(request):
     """Session of xy, as fast as it goes; PAUSED and PAUSED_IN_REAL_TIME begin otherwise."""
-    with Session(Stage("xy", visuals=False), **{"speed": FREE} | getattr(request, "param", {})) as session:
+    with Session(Stage("xy", visuals=False), **{"speed": UNPACED_SPEED} | getattr(request, "param", {})) as session:
         yield session
 
 
@@ -29,7 +29,7 @@ def run_unpaced(session, seconds, times=1):
     """Let simulated time pass as fast as it goes, and remember each of the ends."""
     for _ in range(times):
         session.do(lambda stage: session.run_unpaced(stage.run, seconds))
-        session.do(lambda stage: session._history.remember(stage))
+        session.do(lambda stage: session._history.take_snapshot_if_due(stage))
 
 
 def test_time_passes_without_a_program_except_while_paused(session):
@@ -56,8 +56,8 @@ def test_a_procedure_in_a_session_is_the_procedure_alone():
     """Cut into slices, with orders that only look between them: the same bits."""
     alone = Stage("xy", visuals=False)
     expected = firmware.move(alone.axes["x"], distance=0.002)
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
-        future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.002))
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
+        future = session.queue_action("move", lambda stage: firmware.move(stage.axes["x"], distance=0.002))
         assert not future.done()
         session.paused = False
         wait_until(lambda: session.do(lambda stage: future.done()) or session.view.action == "move")
@@ -130,7 +130,7 @@ def test_going_back_during_a_recording_is_refused():
     """stage.run(1); then a panel, paused; power-up; a recording; back: nothing happened, and nobody was told"""
     stage = Stage("xy", visuals=False)
     stage.run(1.0)
-    with Session(stage, speed=FREE) as session:
+    with Session(stage, speed=UNPACED_SPEED) as session:
         session.paused = True
         session.reset()
         with session.do(lambda stage: stage.record()), pytest.raises(StageError, match="close the recording"):
@@ -151,7 +151,7 @@ def test_an_order_at_the_end_of_the_session_gets_an_error():
             delayed.append(session.post(lambda stage: stage.now))
             session.close()
 
-    session.do(lambda stage: session.call_after_slices(ends))
+    session.do(lambda stage: session.call_after_pacing_intervals(ends))
     wait_until(lambda: delayed)  # the observers are called after the order has its result
     with pytest.raises(StageError, match="this session is over"):
         delayed[0].result(10)
@@ -284,7 +284,7 @@ def test_a_stage_has_one_session_at_a_time(session):
 
 
 def test_the_worker_may_close_the_session():
-    session = Session(Stage("xy", visuals=False), speed=FREE)
+    session = Session(Stage("xy", visuals=False), speed=UNPACED_SPEED)
     session.post(lambda stage: session.close()).result(5)
     session._thread.join(5)
     assert not session._thread.is_alive()
@@ -352,23 +352,23 @@ def test_restoring_a_time_ends_the_action(session, how):
 
 
 def test_a_session_without_a_program_suspends_nothing():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
-        session.take_over()
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
+        session.suspend_program()
         assert not session.program_suspended
         assert not session.program_waits
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True, program="mine") as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True, program="mine") as session:
         assert (session.program, session.program_suspended) == ("mine", False)
-        session.take_over()
+        session.suspend_program()
         assert session.program_suspended
         session.paused = False
-        move = session.act("wait", lambda stage: stage.run(1e6))
+        move = session.queue_action("wait", lambda stage: stage.run(1e6))
         wait_until(lambda: session.view.action == "wait")
-        session.give_back()
+        session.resume_program()
         assert not session.program_suspended
         with pytest.raises(ActionStopped):
             move.result(5)
-        session.take_over()
-        session.dismiss_program()
+        session.suspend_program()
+        session.detach_program()
         assert (session.program, session.program_suspended) == ("", False)
 
 
@@ -487,7 +487,7 @@ def test_trouble_remains_until_time_is_resumed_or_restored(session):
 
 def test_another_thread_may_give_short_orders_and_is_otherwise_refused():
     stage = Stage("xy", visuals=False)
-    with Session(stage, speed=FREE, program="a test") as session:
+    with Session(stage, speed=UNPACED_SPEED, program="a test") as session:
         stage.run(0.01)
         session._ending = True
         at = stage.now
@@ -497,7 +497,7 @@ def test_another_thread_may_give_short_orders_and_is_otherwise_refused():
             stage.run(0.01)
         session._ending = False
         stage.run(0.01)
-        session.dismiss_program()
+        session.detach_program()
         with pytest.raises(StageError, match="lives in a session"):
             stage.run(0.01)
     stage.run(0.01)
@@ -505,7 +505,7 @@ def test_another_thread_may_give_short_orders_and_is_otherwise_refused():
 
 def test_trouble_that_a_program_has_ended_is_forgotten():
     stage = Stage("xy", visuals=False)
-    with Session(stage, speed=FREE, program="a test") as session:
+    with Session(stage, speed=UNPACED_SPEED, program="a test") as session:
         session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
         wait_until(lambda: session.view.trouble.startswith("x is out of its travel"))
         session.do(lambda stage: stage.place(x=0.0))
@@ -514,7 +514,7 @@ def test_trouble_that_a_program_has_ended_is_forgotten():
 
 def test_a_programs_last_change_is_observed_and_in_the_history():
     stage = Stage("xy", visuals=False)
-    with Session(stage, speed=FREE, program="a test") as session:
+    with Session(stage, speed=UNPACED_SPEED, program="a test") as session:
         stage.run(0.2)
         wait_until(lambda: session.view.time == pytest.approx(0.2))
         assert session.history_s >= 0
@@ -533,7 +533,7 @@ def test_a_new_speed_holds_from_its_setting_on(session):
     session.paused = False
     time.sleep(0.03)
     assert session.view.time < 0.01
-    session.speed = FREE
+    session.speed = UNPACED_SPEED
     wait_until(lambda: session.view.time > 1.0)
     session.speed = 1.0
     at, begin = session.view.time, time.monotonic()

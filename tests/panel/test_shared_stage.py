@@ -11,8 +11,8 @@ from stage import Stage, firmware
 from stage.chips.journal_entries import WRITE
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import get_driver
-from stage.panel.real_time_clock import SLICE_S
-from stage.panel.session import FREE, ActionStopped, Session
+from stage.panel.real_time_clock import PACING_INTERVAL_S
+from stage.panel.session import UNPACED_SPEED, ActionStopped, Session
 
 MAX_WAIT_S = 10.0  # for one call, on a machine at work: a deadlock is for ever
 
@@ -92,7 +92,9 @@ def share(kind, seconds, seed):
     """Eight threads for so many seconds, while somebody pauses, takes over and goes back; the threads."""
     print(f"PULSESTAGE_SEED={seed}")
     dice, end = random.Random(seed), threading.Event()
-    with Session(Stage("xy", visuals=False), speed=FREE, program="eight threads" if kind is User else "") as session:
+    with Session(
+        Stage("xy", visuals=False), speed=UNPACED_SPEED, program="eight threads" if kind is User else ""
+    ) as session:
         users = [kind(k, session, seed, end) for k in range(8)]
         until = time.monotonic() + seconds
         while time.monotonic() < until:
@@ -103,9 +105,9 @@ def share(kind, seconds, seed):
                 time.sleep(0.02)
                 session.paused = False
             elif what == "take over" and kind is User:
-                session.take_over()
+                session.suspend_program()
                 session.do(lambda stage: stage.axes["x"].chip.read(0), MAX_WAIT_S)
-                session.give_back()
+                session.resume_program()
         end.set()
         for user in users:
             user.join(MAX_WAIT_S)
@@ -145,7 +147,7 @@ PROCEDURES = {
 }
 
 
-@pytest.mark.parametrize("speed", [1.0, FREE])
+@pytest.mark.parametrize("speed", [1.0, UNPACED_SPEED])
 @pytest.mark.parametrize("chips", ["pcl240ms", "mcx514", "mcx304", "hctl1100"])
 @pytest.mark.parametrize("name", PROCEDURES)
 def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed):
@@ -162,9 +164,9 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
                 session.paused = True
                 requested.append(stage.now)
 
-        session.call_after_slices(interrupt)
+        session.call_after_pacing_intervals(interrupt)
         try:
-            action = session.act(name, lambda stage: PROCEDURES[name](x, y))
+            action = session.queue_action(name, lambda stage: PROCEDURES[name](x, y))
             end = time.monotonic() + MAX_WAIT_S
             while not requested and not action.done():
                 assert time.monotonic() < end
@@ -174,13 +176,13 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
         if action.done() and isinstance(action.exception(), ArgumentError):
             pytest.skip(f"{chips} has no {name}")
         at = session.do(lambda stage: stage.now)
-        assert at - requested[0] <= 2 * SLICE_S * 1e9
+        assert at - requested[0] <= 2 * PACING_INTERVAL_S * 1e9
         assert session.do(lambda stage: stage.now) - at < 1_000_000, "time stands still; bus cycles take theirs"
         assert session.stop_actions()
         with pytest.raises(ActionStopped):
             action.result(MAX_WAIT_S)
         session.paused = False
-        session.speed = FREE
+        session.speed = UNPACED_SPEED
         session.stop().result(MAX_WAIT_S)
         assert not any(session.do(lambda stage, a=a: get_driver(a).is_running()) for a in (x, y)) or chips == "hctl1100"
 
@@ -188,7 +190,7 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
 def test_a_stop_with_a_ramp_begins_on_all_axes_at_the_same_time():
     """One after the other, the second axis went on for as long as the ramp of the first"""
     stage = Stage("xy", chips="pcl240ms", visuals=False)
-    with Session(stage, speed=FREE) as session:
+    with Session(stage, speed=UNPACED_SPEED) as session:
         for axis in stage.axes.values():
             session.do(
                 lambda stage, a=axis: get_driver(a).start_continuous_move(
@@ -205,7 +207,7 @@ def test_a_stop_with_a_ramp_begins_on_all_axes_at_the_same_time():
 
 def test_a_recording_is_not_closed_within_a_sequence_of_another_thread():
     stage = Stage("xy", visuals=False)
-    with Session(stage, speed=FREE, program="a test"):
+    with Session(stage, speed=UNPACED_SPEED, program="a test"):
         recording = stage.record()
         with stage.lock:
             closing = threading.Thread(target=recording.close, daemon=True)

@@ -150,7 +150,7 @@ def test_a_thread_may_act_for_the_owner_that_waits_for_it(lock):
     done = threading.Event()
 
     def firmware():
-        with lock.acting_for_owner(), lock:
+        with lock.act_for_owner(), lock:
             done.set()
 
     with lock:

@@ -11,13 +11,13 @@ from support.programs import load_registers
 from stage import Stage, firmware
 from stage.chips import PCL240K
 from stage.panel import stage_observer
-from stage.panel.session import FREE, Session
-from stage.panel.stage_observer import FRAMES, REQUEST_LIFETIME_S, BusTrace, StageObserver, TraceLine
+from stage.panel.session import UNPACED_SPEED, Session
+from stage.panel.stage_observer import FRAMES_PER_S, REQUEST_LIFETIME_S, BusTrace, StageObserver, TraceLine
 
 
 @pytest.fixture
 def observer():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+    with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         observer = StageObserver(session)
         observer.session = session
         yield observer
@@ -150,7 +150,7 @@ def test_a_host_that_polls_has_one_line_that_counts():
 
 @pytest.fixture(scope="module")
 def session():
-    with Session(Stage("xy", chips="mcx514", visuals=False), speed=FREE, paused=True) as session:
+    with Session(Stage("xy", chips="mcx514", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         yield session
 
 
@@ -175,14 +175,14 @@ def test_views_are_renewed_so_many_times_a_second_however_many_slices_there_are(
     observer = timed
     number = observer.number
     for _ in range(40):
-        session.do(observer._after_slice)
+        session.do(observer._update_after_pacing_interval)
     assert observer.number == number
-    real.now += 0.99 / FRAMES
-    session.do(observer._after_slice)
+    real.now += 0.99 / FRAMES_PER_S
+    session.do(observer._update_after_pacing_interval)
     assert observer.number == number
-    real.now += 0.02 / FRAMES
+    real.now += 0.02 / FRAMES_PER_S
     for _ in range(3):
-        session.do(observer._after_slice)
+        session.do(observer._update_after_pacing_interval)
     assert observer.number == number + 1
 
 
@@ -250,7 +250,7 @@ def test_a_program_restarts_when_time_goes_back_before_it_or_when_it_is_too_long
 
     session.do(lambda stage: write(6, 1))
     assert (sent(), observer.program_start[0]) == (1, 0)
-    session.do(lambda stage: observer.__setattr__("program_start", observer._start_program(stage)))
+    session.do(lambda stage: observer.__setattr__("program_start", observer._start_program_collection(stage)))
     start, snapshot = observer.program_start
     assert (start, sent()) == (session.stage.now, 0)
     session.restore(snapshot)
@@ -289,7 +289,7 @@ def test_after_an_origin_return_lost_steps_are_counted_anew_and_the_command_is_w
     tmp_path, is_mirrored
 ):
     stage = Stage(mirrored(tmp_path) if is_mirrored else "xy", chips=PCL240K, visuals=False)
-    with Session(stage, speed=FREE, paused=True) as session:
+    with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
         observer = StageObserver(session)
         x, tooth = stage.axes["x"], 64 * stage.axes["x"].meters_per_pulse
 

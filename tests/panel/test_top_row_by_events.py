@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 
-from stage.panel.session import FREE
+from stage.panel.session import UNPACED_SPEED
 
 pytest.importorskip("nicegui")
 from stage.panel import page as panel_page
@@ -21,11 +21,11 @@ def page(served):
 def session(served, page):
     """At power-up, alone, and looked at by that one; who comes later leaves at the end."""
     served.session.reset()
-    served.session.speed, served.session.paused = FREE, True
+    served.session.speed, served.session.paused = UNPACED_SPEED, True
     page.said.clear()
     page.sent.clear()
     yield served.session
-    served.session.dismiss_program()
+    served.session.detach_program()
     served.leave(but=1)
     assert served.panel.controls.holder == page.client.id
 
@@ -73,7 +73,7 @@ def test_orders_of_an_observer_are_ignored(served, session, page, monkeypatch):
     assert not any(inert(second, n) for n in MACHINE)
     for drives, names in HIDDEN.items():
         assert [inert(second, n) for n in names] == [drives] * len(names)
-    session.take_over()
+    session.suspend_program()
     assert press_all(second) == everything
     assert press_all(page) == list(FREE_TO_ALL)
     second.until(lambda: not any(inert(second, n) for n in (*MACHINE, *DRIVING)))
@@ -112,7 +112,7 @@ def test_the_list_sets_each_speed_and_shows_others_as_the_nearest(session, page)
         page.put("speed", speed)
         assert session.speed == speed
     for speed, nearest in (
-        (FREE, FREE),
+        (UNPACED_SPEED, UNPACED_SPEED),
         (0.01, 0.01),
         (1.0, 1.0),
         (0.3, 0.25),
@@ -138,7 +138,7 @@ def test_a_single_step_advances_one_step_and_pauses(session, page):
     assert session.do(lambda stage: stage.now) - before == session.stage.state.dt
 
 
-@pytest.mark.parametrize("seconds", panel_page.BACK_S)
+@pytest.mark.parametrize("seconds", panel_page.REWIND_CHOICES_S)
 def test_the_button_goes_back_by_its_time(session, page, monkeypatch, seconds):
     requested = []
     monkeypatch.setattr(session, "go_back", lambda by: requested.append(by))
@@ -174,7 +174,7 @@ def test_power_up_resets_the_stage_and_the_stop_button_ends_an_action(session, p
 
 
 def test_trouble_is_shown_first_with_a_button_to_recover(session, page):
-    session.do(lambda stage: (session.run_unpaced(stage.run, 0.06), session._history.remember(stage)))
+    session.do(lambda stage: (session.run_unpaced(stage.run, 0.06), session._history.take_snapshot_if_due(stage)))
     session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
     page.until(lambda: page.text("doing").startswith("x is out of its travel"))
     page.until(lambda: page.find("recover").visible)

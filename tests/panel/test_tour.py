@@ -8,7 +8,7 @@ import pytest
 from stage import Stage, firmware
 from stage.firmware.driver import Speeds, get_driver
 from stage.panel import tour as tours
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 from stage.panel.tour import MAX_RATES, QUIET_TIME_S, SAMPLE_TIME_S, SIMULTANEITY_S, STEPS, AxisMotion, Tour
 
 
@@ -16,7 +16,7 @@ from stage.panel.tour import MAX_RATES, QUIET_TIME_S, SAMPLE_TIME_S, SIMULTANEIT
 @pytest.mark.parametrize("chips", ["pcl240ms", "mcx514"])
 def test_each_step_waits_until_it_has_been_done(chips):
     stage = Stage("xy", chips=chips, visuals=False)
-    with Session(stage, speed=FREE, paused=True) as session:
+    with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
         tour = Tour(session)
         session.paused = False
 
@@ -27,8 +27,8 @@ def test_each_step_waits_until_it_has_been_done(chips):
                 time.sleep(0.001)
 
         def act(order):
-            session.act("an order", lambda stage: order(stage.axes["x"], stage)).result(60)
-            session.act("a pause", lambda stage: stage.run(0.2)).result(60)
+            session.queue_action("an order", lambda stage: order(stage.axes["x"], stage)).result(60)
+            session.queue_action("a pause", lambda stage: stage.run(0.2)).result(60)
 
         waits_for("First pulse")
         act(lambda x, stage: firmware.move(x, distance=0.001))

@@ -7,7 +7,7 @@ from recorded.observation import attempt, make_stage, start_move
 
 from stage import Stage
 from stage.board import Board
-from stage.board.devices import HCTL2000, HCTL2016, HCTL2020, LS7166, UART, Encoder, Latch
+from stage.board.devices import HCTL2000, HCTL2016, HCTL2020, LS7166, UART, Encoder, OutputLatch
 from stage.chips import PCL240K, PCL240MK
 
 
@@ -26,8 +26,8 @@ DEVICES = {
     "ls7166": lambda: [(LS7166(Encoder("x", per_turn=4000)), 0x320), (LS7166(Encoder("y", per_metre=1e6)), 0x322)],
     "uarts": lambda: [(UART(), 0x320), (UART(1_000_000, name="fast"), 0x328)],
     "latches": lambda: [
-        (Latch(), 0x320),
-        (Latch(name="lamp"), 0x321),
+        (OutputLatch(), 0x320),
+        (OutputLatch(name="lamp"), 0x321),
         (UART(), 0x328),
         (LS7166(Encoder("x", per_turn=8)), 0x330),
     ],

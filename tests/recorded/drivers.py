@@ -18,7 +18,7 @@ from stage.firmware.line_programs import LineMoves, LineSettings, create_line_pr
 from stage.firmware.nova import path_interpolation
 from stage.firmware.nova.chip_port import ChipPort as NovaPort
 from stage.firmware.parameter_ranges import get_register_range
-from stage.firmware.path_deviation import compute_path_points, compute_perfect_deviation
+from stage.firmware.path_deviation import compute_path_points, compute_staircase_deviation
 from stage.firmware.pcl240 import emulated_preset_move, follower_register_search
 from stage.firmware.pcl240 import preset_move_closed_form as closed
 from stage.sim import plant
@@ -369,7 +369,7 @@ def compare_paths():
             results[f"{name} {hz}"] = attempt(firmware.path_deviation.compute_path_deviation, pulses, distances, hz)
             results[f"points {name} {hz}"] = attempt(compute_path_points, pulses, hz)
     results["perfect"] = [
-        compute_perfect_deviation(d) for d in ([3, 1], [-5, 2], [4, 4], [1, 0], [100, 99, -98], [7, 0, 0])
+        compute_staircase_deviation(d) for d in ([3, 1], [-5, 2], [4, 4], [1, 0], [100, 99, -98], [7, 0, 0])
     ]
     return results
 
@@ -390,7 +390,7 @@ def compute_closed_forms():
         closed.fill_motion(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
-        ticks = emulated_preset_move.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
+        ticks = emulated_preset_move.trace_preset_move(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
         results[k] = [
             c, [closed.count_pulses(r, c, t) for t in times], closed.find_first_pulse_tick(r, c),
             closed.compute_ramp_ticks(r, r[4]),
@@ -457,20 +457,22 @@ def use_nova_ports():
     b = Bench(MCX501())
     results["draw"] = [
         attempt(
-            path_interpolation.draw_path,
+            path_interpolation.move_along_path,
             [path_interpolation.LineSegment(5, 5)],
             b.axes["x"],
             b.axes["x"],
             speed=path_interpolation.PathSpeed(500),
         ),
         attempt(
-            path_interpolation.draw_path,
+            path_interpolation.move_along_path,
             [path_interpolation.LineSegment(5)],
             b.axes["x"],
             speed=path_interpolation.PathSpeed(500),
         ),
         attempt(
-            path_interpolation.draw_path, [path_interpolation.LineSegment(5)], speed=path_interpolation.PathSpeed(500)
+            path_interpolation.move_along_path,
+            [path_interpolation.LineSegment(5)],
+            speed=path_interpolation.PathSpeed(500),
         ),
     ]
     return results

@@ -63,7 +63,7 @@ def use_pulse_ports():
         port.write_command(chip_port.OUTPUT | (chip_port.EXTERNAL if cls is PCL240MK else 0))
         port.write_command(chip_port.OUTPUT)
         port.write_control_mode(chip_port.PRESET | chip_port.MINUS)
-        port.write_command(chip_port.RAMP["FH1"])
+        port.write_command(chip_port.RAMP_START_COMMANDS["FH1"])
         results[cls.__name__] = [
             attempt(port.read_counter),
             attempt(port.wait_until_stopped, 0.02, 1e-3),
@@ -90,7 +90,7 @@ def use_pulse_ports():
             attempt(port.wait_until, lambda s: s.operating, 0.01),
         ]
     x = Bench(PCL240MS()).axes["x"]
-    moves.start_preset(PulsePort(x), Profile.of(fl=1000, fh1=4000, fh2=9000, accel=0.02, chip=PCL240MS), -150)
+    moves.start_preset_move(PulsePort(x), Profile.of(fl=1000, fh1=4000, fh2=9000, accel=0.02, chip=PCL240MS), -150)
     x.wait(0.03)
     results["started"] = [x.chip.net(), x.chip.values(), x.chip.output_word(0)]
     slow = Bench(PCL240K(), bus_cycle=0.01)
@@ -103,7 +103,7 @@ def use_pulse_ports():
         attempt(chip_port.check_chip_family, 5),
         attempt(chip_port.check_chip_family, Bench(HCTL1100()).axes["x"]),
     ]
-    results["words"] = [str(chip_port._READ[v]) for v in (0x00, 0x40, 0x60, 0x88, 0xFF, 0x1E)]
+    results["words"] = [str(chip_port._STATUS_BY_BYTE[v]) for v in (0x00, 0x40, 0x60, 0x88, 0xFF, 0x1E)]
     return results
 
 
@@ -163,7 +163,7 @@ def run_servo_into_ends():
         port = servo.set_up_servo(x, servo.FilterTuning(gain=0x30, timer=0x20))
         results[name] = [
             (attempt(call, port)),
-            port.is_limited(),
+            port.is_limit_latched(),
             port.read_status(),
             x.position,
             stage.time,
@@ -186,19 +186,19 @@ def run_servo_into_ends():
         stage.time,
     ]
     results["asked"] = [
-        attempt(port.write_numbers, gains=3),
-        attempt(port.write_numbers, gain=300),
-        attempt(port.write_numbers, gain=2.5),
+        attempt(port.write_quantities, gains=3),
+        attempt(port.write_quantities, gain=300),
+        attempt(port.write_quantities, gain=2.5),
         attempt(port.set_control_mode, "torque"),
         port.read_velocity(),
         port.t,
         port.sample,
-        port.count,
-        attempt(port.write_numbers, timer=9),
+        port.timer_count_s,
+        attempt(port.write_quantities, timer=9),
         port.sample,
         attempt(port.write_command_position, 5),
-        attempt(port.wait_for_safe_part, "trapezoid"),
-        attempt(port.write_numbers, timer=0x40),
+        attempt(port.wait_for_safe_part_of_sample, "trapezoid"),
+        attempt(port.write_quantities, timer=0x40),
         attempt(port.wait_until, lambda: False, 0.01, "nothing"),
         port.read_status(),
     ]
@@ -261,7 +261,11 @@ def run_nova_into_ends():
         path_interpolation.LineSegment(90, 0),
     ]
     results["into an end"] = [
-        (attempt(path_interpolation.draw_path, path, y, x, speed=path_interpolation.PathSpeed(4000, jerk=9_000_000))),
+        (
+            attempt(
+                path_interpolation.move_along_path, path, y, x, speed=path_interpolation.PathSpeed(4000, jerk=9_000_000)
+            )
+        ),
         x.chip.net(0),
         x.chip.net(1),
     ]
@@ -272,7 +276,7 @@ def run_nova_into_ends():
         [],
     ):
         results[str(bad).replace("Segment", "")] = attempt(
-            path_interpolation.draw_path, bad, x, y, speed=path_interpolation.PathSpeed(4000)
+            path_interpolation.move_along_path, bad, x, y, speed=path_interpolation.PathSpeed(4000)
         )
     for bad in ({"direction": 0}, {"timer": 0.5001}, {"speed": 0}, {"offset": 1 << 33}):
         results[str(bad)] = attempt(home_search, x, **bad)

@@ -150,7 +150,16 @@ def plan_moves():
             results[k] = str(error)
             continue
         rows = {
-            n: [a.row.tolist(), a.fl, a.fh, a.has_ramps, a.curved_end_steps, a.accel_time, a.decel_time, a.offset]
+            n: [
+                a.row.tolist(),
+                a.fl,
+                a.fh,
+                a.has_ramps,
+                a.curved_end_steps,
+                a.accel_time,
+                a.decel_time,
+                a.ramp_down_offset,
+            ]
             for n, a in p.axes.items()
         }
         results[k] = [str(p), rows, str(p.deviation), p.perfect, p.distances]
@@ -249,7 +258,7 @@ def draw_paths():
         "late": ([path_interpolation.LineSegment(3000, 20)], (x, y), path_interpolation.PathSpeed(500)),
     }
     return {
-        name: attempt(path_interpolation.draw_path, path, *axes, speed=speed, timeout=2.0)
+        name: attempt(path_interpolation.move_along_path, path, *axes, speed=speed, timeout=2.0)
         for name, (path, axes, speed) in paths.items()
     }
 
@@ -283,7 +292,7 @@ def stop_by_workarounds():
         b = Bench(MCX304(errata=not mended))
         port = s_curve_workarounds.open_port(b.axes["x"])
         port.write_parameters(R=800_000, K=2000, A=800, SV=100, V=1500, AO=0)
-        port.write_mode_words(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
+        port.write_mode_words(WR2=s_curve_workarounds.LIMIT_DECELERATION_MASK, WR3=s_curve_workarounds.S_CURVE)
         port.start_drive(2500)
         b.wait(after)
         texts = [

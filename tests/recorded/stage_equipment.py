@@ -27,7 +27,7 @@ from stage.drives.dc_motors import DCMotor, Servo
 from stage.errors import StageError
 from stage.sim import program_player
 from stage.sim.encoder import Encoder
-from stage.sim.plant.new_model import NewAxis, new_model
+from stage.sim.plant.new_model import NewAxis, build_model_text
 from stage.sim.program_player import TRUTH
 
 SMALL = Motor("small", 0.8, 4.0, 5e-3, 0.2, 0.01, 3e-6)
@@ -37,7 +37,7 @@ ZOO = "x:slide:120mm,b:hinge:90deg,z:slide:8cm,a:hinge:360deg"
 
 def make_stage_of_many_axes(**options):
     """Return a stage of slides and hinges, each on the one before."""
-    text = new_model([NewAxis.parse(item) for item in ZOO.split(",")])
+    text = build_model_text([NewAxis.parse(item) for item in ZOO.split(",")])
     return Stage(mujoco.MjSpec.from_string(text), visuals=False, **options)
 
 

@@ -25,12 +25,12 @@ def test_a_part_begins_and_ends_at_the_positions_of_the_bus_trace():
     host.at = 3
     part = RecordedBusCycles(stage)
     host.at, stage.now = 7, 20
-    assert part.until == 20
-    assert part.changes("writer", 1, 2) == ["changes"]
+    assert part.end_ns == 20
+    assert part.register_signals("writer", 1, 2) == ["changes"]
     part.close()
     host.at, stage.now = 9, 30
-    assert part.until == 20, "it was closed then"
-    part.changes("writer", 1, 2)
+    assert part.end_ns == 20, "it was closed then"
+    part.register_signals("writer", 1, 2)
     assert host.requests == [("writer", 3, None, 1, 2), ("writer", 3, 7, 1, 2)]
 
 
@@ -40,12 +40,12 @@ def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_aft
     before.close()
     stage.host = PositionHost()
     stage.host.at = 5
-    assert before.changes("writer", 0, 1) == []
-    assert during.changes("writer", 0, 1) == ["changes"]
+    assert before.register_signals("writer", 0, 1) == []
+    assert during.register_signals("writer", 0, 1) == ["changes"]
     during.close()
-    assert during.changes("writer", 0, 1) == ["changes"]
+    assert during.register_signals("writer", 0, 1) == ["changes"]
     assert stage.host.requests == [("writer", None, None, 0, 1), ("writer", None, 5, 0, 1)]
     nobody = RecordedBusCycles(SimpleNamespace(host=None, now=4))
-    assert nobody.changes("writer", 0, 1) == []
+    assert nobody.register_signals("writer", 0, 1) == []
     nobody.close()
-    assert nobody.until == 4
+    assert nobody.end_ns == 4

@@ -11,7 +11,7 @@ from support.recording_bench import Full, drive, feed, make_bench, read_rrd
 from stage import ArgumentError, Stage, StageError
 from stage.chips import PCL240K
 from stage.recording.axis_series import SERIES
-from stage.recording.recording import COLUMNS, ROWS, RecordingError
+from stage.recording.recording import BUFFER_ROWS, COLUMNS, RecordingError
 
 
 def test_the_last_sample_is_the_state_of_the_stage(run):
@@ -230,27 +230,27 @@ def test_a_failed_save_leaves_the_old_file(run, tmp_path, monkeypatch):
 
 def test_a_full_disk_ends_the_recording_with_advice_and_preserves_the_samples(bench, monkeypatch):
     recording = bench.recording
-    feed(recording, ROWS + 10)
+    feed(recording, BUFFER_ROWS + 10)
 
     file = recording._file
     monkeypatch.setattr(recording, "_file", Full())
-    with pytest.raises(RecordingError, match=f"closed after {ROWS} samples.*No space left.*TMPDIR"):
-        feed(recording, ROWS)
+    with pytest.raises(RecordingError, match=f"closed after {BUFFER_ROWS} samples.*No space left.*TMPDIR"):
+        feed(recording, BUFFER_ROWS)
     recording._file = file
     assert recording.filled == 0
     assert "closed" in repr(recording)
-    assert len(recording.column("time")) == ROWS
+    assert len(recording.column("time")) == BUFFER_ROWS
 
 
 def test_a_stage_that_went_back_in_time_is_detected(tmp_path):
     bench = make_bench()
-    feed(bench.recording, 2 * ROWS)
+    feed(bench.recording, 2 * BUFFER_ROWS)
     bench.recording.samples["time"][:] = 0.5
     bench.recording.samples["time"][5:] = 0.1
-    bench.recording.take_rows(ROWS)
+    bench.recording.take_rows(BUFFER_ROWS)
     with pytest.raises(RecordingError, match="went back in time"):
         bench.recording.save(tmp_path / "x.rrd")
-    assert len(bench.recording.column("time")) == 3 * ROWS
+    assert len(bench.recording.column("time")) == 3 * BUFFER_ROWS
 
 
 def test_a_single_chip_that_went_back_in_time_is_detected(bench, tmp_path):
@@ -265,17 +265,19 @@ def test_a_single_chip_that_went_back_in_time_is_detected(bench, tmp_path):
 
 
 def test_rows_come_back_as_they_were_across_buffers(bench):
-    feed(bench.recording, 2 * ROWS + 123)
+    feed(bench.recording, 2 * BUFFER_ROWS + 123)
     time = bench.recording.column("time")
     assert np.allclose(time, np.arange(1, len(time) + 1) * 1e-3)
     assert np.allclose(bench.recording.column("x/position"), 0.1 * np.sin(time))
-    assert [len(p) for p in bench.recording.pieces(rows=5000)] == [5000, 2 * ROWS - 5000, 123]
+    assert [len(p) for p in bench.recording.pieces(rows=5000)] == [5000, 2 * BUFFER_ROWS - 5000, 123]
 
 
-@pytest.mark.parametrize("begin", [0, 2 * ROWS - 100, 2 * ROWS, 2 * ROWS + 23, 2 * ROWS + 123])
+@pytest.mark.parametrize(
+    "begin", [0, 2 * BUFFER_ROWS - 100, 2 * BUFFER_ROWS, 2 * BUFFER_ROWS + 23, 2 * BUFFER_ROWS + 123]
+)
 def test_pieces_from_a_sample_on_leave_none_out_whether_it_is_on_disk_or_in_memory(bench, begin):
     """recording.pieces(begin=n), n shortly before the last sample that has gone to the temporary file"""
-    feed(bench.recording, 2 * ROWS + 123)
+    feed(bench.recording, 2 * BUFFER_ROWS + 123)
     rows = [row for piece in bench.recording.pieces(begin=begin) for row in piece["axes"]["time"][:, 0]]
     assert np.array_equal(rows, bench.recording.column("time")[begin:])
 

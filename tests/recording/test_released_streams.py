@@ -50,9 +50,9 @@ def test_series_of_the_oscilloscope_leave_no_thread(tmp_path):
     pytest.importorskip("nicegui")
     from stage.panel.oscilloscope import to_rrd
     from stage.panel.sampler import Sampler
-    from stage.panel.session import FREE, Session
+    from stage.panel.session import UNPACED_SPEED, Session
 
-    session = Session(Stage("xy", visuals=False), speed=FREE, paused=True)
+    session = Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True)
     sampler = Sampler(session)
     try:
         session.do(lambda stage: session.run_unpaced(lambda stage: stage.run(0.01), stage))

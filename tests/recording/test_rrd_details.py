@@ -16,11 +16,11 @@ from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, stage_
 from stage import Stage, faults
 from stage.chips import HCTL1100
 from stage.recording import rerun_geoms, rerun_log, rerun_scene, rerun_viewer, saved_recording
-from stage.recording.recording import ROWS, Recording, RecordingError
-from stage.recording.rerun_log import STATES, StateLanes
+from stage.recording.recording import BUFFER_ROWS, Recording, RecordingError
+from stage.recording.rerun_log import STATE_COLORS, StateLaneLogger
 
 pytest.importorskip("rerun")
-RED, BLUE = STATES["fault"], STATES["keep"]
+RED, BLUE = STATE_COLORS["fault"], STATE_COLORS["keep"]
 
 
 def number(colour):
@@ -55,7 +55,7 @@ def test_each_fault_is_logged_once_with_those_in_force(streamed):
     assert [s[0] for s in states] == ["jammed; slips", "slips", "none"]
     names, colours = (streamed["/faults"][f"StateConfiguration:{name}"][1][-1] for name in ("values", "colors"))
     assert dict(zip(names, colours, strict=True)) == {
-        "jammed; slips": number(RED), "slips": number(RED), "none": number(STATES["off"]),
+        "jammed; slips": number(RED), "slips": number(RED), "none": number(STATE_COLORS["off"]),
     }  # fmt: skip
     times, texts = streamed["/faults/log"]["TextLog:text"]
     assert times.tolist() == [1_000_000, 2_000_000, 4_000_000]
@@ -83,7 +83,7 @@ def test_bus_lines_are_neutral_and_only_a_lost_write_is_red(monkeypatch):
     logged = []
     monkeypatch.setattr(rerun_log.rr, "TextLog", SimpleNamespace(columns=lambda **columns: columns), raising=False)
     recording = SimpleNamespace(seconds=lambda name, clocks: clocks * 1e-6)
-    lanes = StateLanes.__new__(StateLanes)
+    lanes = StateLaneLogger.__new__(StateLaneLogger)
     lanes._recording, lanes._name = recording, "x"
     out = SimpleNamespace(send_columns=lambda path, indexes, columns: logged.extend(columns["color"]))
     kinds = ("register", "command", "reset", "lost")
@@ -176,7 +176,7 @@ def test_a_lane_continues_and_combined_switches_have_the_most_important_color(mo
     bench = make_bench()
     axis, chip = bench.axes["x"], bench.chip
     axis.switches = SimpleNamespace(as_dict=lambda: {"org": False, "el_plus": False})
-    lanes = StateLanes(bench.recording, "x")
+    lanes = StateLaneLogger(bench.recording, "x")
     org, end, hold, up = (
         chip.find_switch_input("org"),
         chip.find_switch_input("el_plus"),
@@ -201,19 +201,21 @@ def test_a_lane_continues_and_combined_switches_have_the_most_important_color(mo
         ("switches", [4 * second, 5 * second], ["", "ORG"]),
     ]
     together = [what for path, what in logged if path == "switches"]
-    assert together == [{"": STATES["off"], "ORG": STATES["org"], "ORG EL+": STATES["el"], "EL+": STATES["el"]}], "once"
-    assert dict(logged)["switches/org"] == {"ORG": STATES["org"], "off": STATES["off"]}
-    assert dict(logged)["phase"] == {name: STATES[name] for name in ("up", "keep", "down", "hold")}
+    assert together == [
+        {"": STATE_COLORS["off"], "ORG": STATE_COLORS["org"], "ORG EL+": STATE_COLORS["el"], "EL+": STATE_COLORS["el"]}
+    ], "once"
+    assert dict(logged)["switches/org"] == {"ORG": STATE_COLORS["org"], "off": STATE_COLORS["off"]}
+    assert dict(logged)["phase"] == {name: STATE_COLORS[name] for name in ("up", "keep", "down", "hold")}
 
 
 def test_a_full_buffer_that_went_back_in_time_is_detected_later(tmp_path):
     """one full buffer goes back, the next does not"""
     bench = make_bench()
     for back in (True, False):
-        bench.recording.samples["time"][:, 0] = np.arange(ROWS) * 1e-3
+        bench.recording.samples["time"][:, 0] = np.arange(BUFFER_ROWS) * 1e-3
         if back:
             bench.recording.samples["time"][7, 0] = 9.0
-        bench.recording.take_rows(ROWS)
+        bench.recording.take_rows(BUFFER_ROWS)
     with pytest.raises(RecordingError, match="went back in time"):
         bench.recording.save(tmp_path / "x.rrd")
 

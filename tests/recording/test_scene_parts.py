@@ -12,7 +12,7 @@ from support.recording_bench import read_rrd
 
 from stage.recording import pin_signals, rerun_scene
 from stage.recording.rerun_geoms import compute_poses, is_visible
-from stage.recording.rerun_scene import Scene, make_body_entity_path
+from stage.recording.rerun_scene import SceneLogger, make_body_entity_path
 
 rr = pytest.importorskip("rerun")
 
@@ -83,7 +83,7 @@ def test_poses_are_logged_60_times_a_second_for_any_pieces(monkeypatch):
     for cuts in ((0, 10), (0, 3, 4, 10), (0, 1, 5, 10)):
         moved.clear()
         recording = bench(every=0.004, began=0.001)
-        created = Scene(recording)
+        created = SceneLogger(recording)
         for begin, end in pairwise(cuts):
             created.log_poses(Out(), rows(recording.model, times[begin:end], times[begin:end]))
         of_work = [t for path, ts in moved if path == "stage/work" for t in ts]
@@ -109,7 +109,7 @@ def test_a_body_is_sent_where_it_moved_and_to_the_nanosecond(tmp_path):
 def test_of_two_switches_on_one_pin_that_lamp_is_lit_to_whose_switch_the_carriage_is_nearer():
     """org trips at 0.1 m and el_plus at 0.4; the pin is on at 0.12 and at 0.39, in two lots"""
     recording = bench(every=1.0)
-    created = Scene(recording)
+    created = SceneLogger(recording)
     times = np.array([0.0, 1.0, 2.0, 3.0])
     edge = np.zeros(4, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edge["clock"], edge["inputs"] = [0, 1000, 2000, 3000], [0, 1, 0, 1]
@@ -129,7 +129,7 @@ def test_of_two_switches_on_one_pin_that_lamp_is_lit_to_whose_switch_the_carriag
 
 def test_a_lit_lamp_is_bright_and_its_first_state_is_logged_once(tmp_path):
     recording = bench()
-    created = Scene(recording)
+    created = SceneLogger(recording)
     edge = np.zeros(3, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edge["clock"], edge["inputs"] = [10, 20, 30], [0, 1, 0]
     out = Out()

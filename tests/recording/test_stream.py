@@ -17,7 +17,7 @@ from support.recording_bench import Full, drive, read_rrd, rerun_cli
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K
 from stage.recording import RecordingError, RecordingWarning
-from stage.recording.recording import ROWS
+from stage.recording.recording import BUFFER_ROWS
 from stage.recording.rerun_file_writer import RrdSink
 
 KILLED = """
@@ -134,7 +134,7 @@ def test_a_stream_is_written_at_the_interval_and_when_the_buffer_is_full(tmp_pat
     stage, path = Stage("xy", visuals=False), tmp_path / "y.rrd"
     with stage.record().stream(path, seconds=1e6):
         size = path.stat().st_size
-        stage.run(ROWS * 1e-3 + 0.5)
+        stage.run(BUFFER_ROWS * 1e-3 + 0.5)
         assert path.stat().st_size == size
 
 
@@ -234,10 +234,10 @@ def test_a_full_temporary_file_warns_and_the_run_continues_on_request(tmp_path, 
     file = recording._file
     monkeypatch.setattr(recording, "_file", Full())
     with pytest.warns(RecordingWarning, match="No space left.*TMPDIR"):
-        stage.run(ROWS * 1e-3 + 0.5)
+        stage.run(BUFFER_ROWS * 1e-3 + 0.5)
     recording._file = file
     assert len(recording) == len(recording.columns["time"]) == 0, "what was lost is not counted"
-    assert stage.time == pytest.approx(ROWS * 1e-3 + 0.5)
+    assert stage.time == pytest.approx(BUFFER_ROWS * 1e-3 + 0.5)
 
 
 def test_a_program_that_ends_without_closing_leaves_a_complete_file(tmp_path):

@@ -14,7 +14,7 @@ from stage import ArgumentError
 from stage.cli import main
 from stage.recording import RecordingError, read
 from stage.recording.axis_series import SERIES
-from stage.recording.recording import ROWS
+from stage.recording.recording import BUFFER_ROWS
 from stage.support.files import FileError
 
 FEW = ["x/position", "x/lost_steps", "x/el_minus"]
@@ -60,7 +60,7 @@ def test_a_file_has_the_requested_columns_bit_for_bit(run, tmp_path, ending):
 
 def test_files_are_written_in_pieces_and_hold_them_all(bench, tmp_path):
     """more samples than the buffer has"""
-    feed(bench.recording, 17 * ROWS + 5)
+    feed(bench.recording, 17 * BUFFER_ROWS + 5)
     pandas = pytest.importorskip("pandas")
     exact = partial(pandas.read_csv, float_precision="round_trip")
     for ending, load in (("parquet", pandas.read_parquet), ("csv", exact)):

@@ -194,7 +194,8 @@ def test_chips_of_several_clocks_begin_at_the_earliest_of_their_clocks(tmp_path)
     with stage.record() as recording:
         stage.run(1e-4)
     starts = [
-        to_nanoseconds(int(j.start["clock"]), recording.axes[n].chip.clock_hz) for n, j in recording.journals.items()
+        to_nanoseconds(int(j.start_state["clock"]), recording.axes[n].chip.clock_hz)
+        for n, j in recording.journals.items()
     ]
     assert len(set(starts)) == 2
     first = next(line for line in recording.to_vcd(tmp_path / "x.vcd").read_text().splitlines() if line.startswith("#"))

@@ -166,7 +166,7 @@ def test_another_protocol_is_refused_and_disconnected(served, text):
 
 
 def test_a_client_that_sends_single_bytes_is_disconnected(board, monkeypatch):
-    monkeypatch.setattr(server, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(server, "FRAME_TIMEOUT_S", 0.1)
     with serving(board) as served:
         for greet, text in ((False, b""), (False, GREETING[:20]), (True, b"\x10")):
             with wire(served, greet) as opened:

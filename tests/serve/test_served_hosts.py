@@ -201,19 +201,19 @@ def test_time_is_counted_from_the_first_byte_of_the_frame_that_waits(monkeypatch
     now = [5.0]
     monkeypatch.setattr(server, "time", SimpleNamespace(monotonic=lambda: now[0]))
     connection = server._Connection(None, "who")
-    assert (connection.since, connection.is_awaited()) == (5.0, True), "for a hello"
+    assert (connection.since, connection.is_frame_awaited()) == (5.0, True), "for a hello"
     connection.role = client.OBSERVE
-    assert not connection.is_awaited()
+    assert not connection.is_frame_awaited()
     connection.received += frame(client.STATUS, number=1) + frame(client.PIN, b"x.org", 2)[:-1]
     now[0] = 6.0
     assert connection.take_frame() == (client.STATUS, 1, b"")
-    assert (connection.since, connection.is_awaited()) == (6.0, True)
+    assert (connection.since, connection.is_frame_awaited()) == (6.0, True)
     now[0] = 7.0
     assert connection.take_frame() is None
     assert connection.since == 6.0
     connection.received += b"g"
     assert connection.take_frame() == (client.PIN, 2, b"x.org")
-    assert (connection.since, connection.is_awaited()) == (None, False)
+    assert (connection.since, connection.is_frame_awaited()) == (None, False)
 
 
 def test_a_version_error_names_the_versions_of_both_sides(served):

@@ -8,7 +8,7 @@ from stage import Stage
 from stage.board import Board
 from stage.serve import client as frames
 from stage.serve.client import Batch, ServerError
-from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
+from stage.sim.pin_edge_player import PIN_EDGE, play_pin_edges
 
 
 def make_stage():
@@ -28,7 +28,7 @@ def test_a_batch_makes_edges_at_the_end_of_its_bus_cycles(served):
             batch.set_lines("y", step=True).spend_ns(3_000).set_lines("y", step=False).spend_ns(96_000)
         assert batch.run() == []
     stage, reference = served.board.stage, make_stage()
-    edges = np.zeros((20, 2), LINE_EDGE)
+    edges = np.zeros((20, 2), PIN_EDGE)
     edges["time"] = 500 + 100_000 * np.arange(20)[:, None] + [0, 3_500]
     edges["axis"], edges["pins"], edges["levels"] = 1, 1, [1, 0]
     play_pin_edges(reference, edges.ravel(), 2_000_000)

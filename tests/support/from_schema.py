@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from stage.agents.tool_arguments import INTEGER_PATTERN, LENGTH_PATTERN, UNIT_PATTERN
+from stage.agents.tool_arguments import INTEGER_PATTERN, LENGTH_PATTERN, LENGTH_WITH_UNIT_PATTERN
 
 FORMS = ("{}{}", "{}{:X}h", "{}0x{:x}", "{}0b{:b}")
 JUNK = st.one_of(
@@ -20,7 +20,7 @@ PATTERNS = {
     LENGTH_PATTERN: st.tuples(st.floats(-10, 10), st.sampled_from(["", "mm", " um", "m", "deg"])).map(
         lambda two: f"{two[0]}{two[1]}"
     ),
-    UNIT_PATTERN: st.tuples(st.floats(-10, 10), st.sampled_from(["mm", " um", "m", "deg"])).map(
+    LENGTH_WITH_UNIT_PATTERN: st.tuples(st.floats(-10, 10), st.sampled_from(["mm", " um", "m", "deg"])).map(
         lambda two: f"{two[0]}{two[1]}"
     ),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stage import Stage
-from stage.panel.session import FREE, Session
+from stage.panel.session import UNPACED_SPEED, Session
 from support.visitor import Visitor
 
 
@@ -17,7 +17,7 @@ class ServedPanel:
     def __init__(self, chips: str = "pcl240ms"):
         from stage.panel.server import Panel
 
-        self.session = Session(Stage("xy", chips=chips, visuals=False), speed=FREE, paused=True)
+        self.session = Session(Stage("xy", chips=chips, visuals=False), speed=UNPACED_SPEED, paused=True)
         self.panel = Panel(self.session)
         self._visitors: list[Visitor] = []
 

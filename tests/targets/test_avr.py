@@ -24,7 +24,7 @@ FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware"
 PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
 NEAR_ORG = -0.119  # m
 needs_simavr = pytest.mark.skipif(
-    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
 )
 (NO_INSTRUCTION, WILD_WRITE, SLEEPS, WATCHDOG, FIGHT, INTERRUPT, FOR_EVER, NOTHING_WAKES) = range(1, 9)
 NO_ROUTINE = 10

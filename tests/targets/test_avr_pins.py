@@ -18,7 +18,9 @@ from stage.errors import ArgumentError
 from stage.targets import TargetHost, simavr, supported_processors
 
 pytestmark = [
-    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
+    pytest.mark.skipif(
+        not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+    ),
     pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc"),
 ]
 HEAD = r"""
@@ -374,8 +376,8 @@ def test_running_many_cycles_on_end_changes_no_bit(build, monkeypatch):
             return ticks;
         }""")
     states = []
-    for cycles in (1, simavr.RUN_CYCLES):
-        monkeypatch.setattr(simavr, "RUN_CYCLES", cycles)
+    for cycles in (1, simavr.UNCHECKED_RUN_CYCLES):
+        monkeypatch.setattr(simavr, "UNCHECKED_RUN_CYCLES", cycles)
         with make_host(elf, x=-0.1499) as host:
             states.append(run_and_read_state(host))
     assert states[0] == states[1]

@@ -31,7 +31,9 @@ from stage.targets import TargetHost, simavr_structure_offsets, supported_proces
 from stage.targets.elf import AVR, Elf
 
 pytestmark = [
-    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
+    pytest.mark.skipif(
+        not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+    ),
     pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc"),
 ]
 each_timer = pytest.mark.parametrize("timer", TIMERS, ids=lambda r: f"timer {r.number}")
@@ -41,7 +43,7 @@ def run_on_simavr(elf: Path, n_results: int) -> list[int]:
     """Run a program to its end on simavr with exact timers, and return its results."""
     from stage.targets.simavr import _open_library
     from stage.targets.simavr_register_handlers import SimavrRegisterHandlers
-    from stage.targets.simavr_structure_offsets import AVR as AVR_STRUCTURE
+    from stage.targets.simavr_structure_offsets import AVR_T as AVR_STRUCTURE
     from stage.targets.simavr_structure_offsets import view_structure
 
     simavr = _open_library(False)
@@ -280,7 +282,7 @@ def test_a_library_with_another_layout_is_refused_with_its_version(structure, di
 
 @pytest.mark.parametrize("address", [0, 8, 1 << 40, (1 << 64) - 64])
 def test_the_check_of_the_layout_takes_an_address_without_memory(address):
-    assert simavr_structure_offsets._read_structure(address, simavr_structure_offsets.TIMER) is None
+    assert simavr_structure_offsets._read_structure(address, simavr_structure_offsets.AVR_TIMER_T) is None
 
 
 SEI_PROGRAM = r"""

@@ -30,7 +30,9 @@ def avr(path: Path, mcu: str) -> TargetHost:
     return TargetHost(path, board_of(), mcu=mcu, map=PINS, isolated=False)
 
 
-@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
+@pytest.mark.skipif(
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+)
 @pytest.mark.parametrize(
     ("name", "architecture", "mcu", "pattern"),
     [
@@ -47,7 +49,9 @@ def test_a_program_of_another_avr_is_refused(tmp_path, name, architecture, mcu, 
         avr(changed_avr(tmp_path, name, architecture), mcu)
 
 
-@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
+@pytest.mark.skipif(
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+)
 @pytest.mark.parametrize(("name", "architecture"), [(b"atmega2561", 6), (b"", 6), (b"", 2)])
 def test_a_program_of_a_similar_or_unnamed_avr_runs(tmp_path, name, architecture):
     assert avr(changed_avr(tmp_path, name, architecture), "atmega2560").run().code == 0
@@ -79,7 +83,9 @@ def changed_arm(tmp_path: Path, arch: int, profile: bytes = b"M") -> Path:
     return path
 
 
-@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
+@pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
+)
 @pytest.mark.parametrize(
     ("arch", "profile", "mcu", "pattern"),
     [
@@ -95,7 +101,9 @@ def test_a_program_of_a_larger_cortex_is_refused(tmp_path, arch, profile, mcu, p
         TargetHost(changed_arm(tmp_path, arch, profile), board_of(), mcu=mcu, map=WINDOW, isolated=False)
 
 
-@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
+@pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
+)
 @pytest.mark.parametrize(("arch", "mcu"), [(10, "cortex-m4"), (11, "cortex-m3")])
 def test_a_program_of_a_smaller_cortex_runs(tmp_path, arch, mcu):
     h = TargetHost(changed_arm(tmp_path, arch), board_of(9), mcu=mcu, map=WINDOW, isolated=False)

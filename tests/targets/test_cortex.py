@@ -17,7 +17,7 @@ from stage.targets.nvic import FIRST, PENDSV, SYSTICK, Nvic
 DATA = Path(__file__).parent / "data"
 WINDOW = "0x40021000=0x300+0x40"
 pytestmark = pytest.mark.skipif(
-    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}"
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
 )
 (NO_INSTRUCTION, WILD_WRITE, NO_WINDOW, SLEEPS, SVC, INTERRUPT, WAITS, FOR_EVER) = range(1, 9)
 WIDE, WRITES_FLASH, INTO_WINDOW, EVEN = range(10, 14)
@@ -134,8 +134,8 @@ def test_the_frame_of_an_exception_is_aligned_and_removed(cortex, odd):
 
 def test_private_registers_can_be_read_by_bytes_and_halfwords(cortex):
     for number, priority in ((4, 0x10), (5, 0x50), (6, 0xA0), (7, 0xF0)):
-        cortex._write_private(None, 0xE400 + number, 1, priority, None)
-    read = lambda at, size: cortex._read_private(None, at, size, None)  # noqa: E731
+        cortex._write_private_peripherals(None, 0xE400 + number, 1, priority, None)
+    read = lambda at, size: cortex._read_private_peripherals(None, at, size, None)  # noqa: E731
     assert [read(0xE404 + k, 1) for k in range(4)] == [0x10, 0x50, 0xA0, 0xF0]
     assert [read(0xE404, 2), read(0xE406, 2), read(0xE404, 4)] == [0x5010, 0xF0A0, 0xF0A05010]
 

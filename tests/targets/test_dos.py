@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from stage.targets.dos_and_bios_services import Dos
-from stage.targets.pc_timer import FULL, HZ
+from stage.targets.pc_timer import CLOCK_HZ, MAX_RELOAD
 
 CARRY, ZERO = 1, 0x40
 
@@ -124,9 +124,9 @@ def test_time_follows_the_cycles_of_the_processor():
     assert [pc.get_register(name) for name in ("ch", "cl", "dh", "dl")] == [1, 1, 2, 3]
     assert pc.serve(0x21, ax=0x2A00) == {"ax": 0x2A06, "cx": 1995, "dx": 0x0701}
     pc.serve(0x1A, ax=0x0055)
-    ticks = int(seconds * HZ / FULL)
+    ticks = int(seconds * CLOCK_HZ / MAX_RELOAD)
     assert [pc.get_register(name) for name in ("cx", "dx", "al")] == [ticks >> 16, ticks & 0xFFFF, 0]
-    assert ticks >> 16 == 25 * 3600 * HZ // FULL >> 16 > 0
+    assert ticks >> 16 == 25 * 3600 * CLOCK_HZ // MAX_RELOAD >> 16 > 0
     assert pc.serve(0x1A, ax=0x0155) == {}, "the clock is not set"
     for cx, dx in ((0, 3), (2, 0), (1, 0xFFFF)):
         before = pc.record.cycles

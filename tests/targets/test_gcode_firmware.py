@@ -15,7 +15,7 @@ from stage import faults
 from stage.targets import supported_processors
 
 pytestmark = pytest.mark.skipif(
-    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
 )
 FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware" / "gcode" / "gcode.elf"
 

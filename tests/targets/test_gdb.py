@@ -24,7 +24,7 @@ WINDOW = "0x40021000=0x300+0x40"
 FUNCTIONS = Elf(DATA / "faults.m3.elf", ARM, "", "").symbols
 PC, SP = 15, 13
 pytestmark = pytest.mark.skipif(
-    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}"
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
 )
 
 

@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import pytest
 
 from stage.board import LibraryError
-from stage.board.memory_mapped_ports import Window
+from stage.board.memory_mapped_ports import MemoryWindow
 from stage.errors import ArgumentError
 from stage.targets.cortex_m import Cortex
 from stage.targets.elf import check_avr
-from stage.targets.gdb_server import DebugServer, make_pc_registers
+from stage.targets.gdb_server import DebugServer, make_8086_registers
 from stage.targets.pc_8086 import PREFIX_SEGMENT, Pc
 from stage.targets.simavr import find_jump_target
 
@@ -176,7 +176,7 @@ def test_a_pc_shows_registers_of_floating_point_that_it_does_not_have():
         set_registers=lambda **v: requested.append(v),
         set_program_counter=requested.append,
     )
-    observed = make_pc_registers(cpu)
+    observed = make_8086_registers(cpu)
     assert [observed.read(n) for n in range(len(observed.sizes))] == [3] * 8 + [0x12345, 6] + [2] * 6 + [0] * 16
     for n in (0, 8, 15, 16, 31):
         observed.write(n, 7)
@@ -230,7 +230,7 @@ def test_a_routine_returns_to_the_stack_and_the_mode_that_it_has_come_from(handl
 def test_a_window_on_private_registers_or_beyond_memory_is_refused(window):
     pytest.importorskip("unicorn")
     with pytest.raises(ArgumentError, match="a Cortex-M has no memory for it there"):
-        Cortex.__new__(Cortex)._map_memory((Window(*window),))
+        Cortex.__new__(Cortex)._map_memory((MemoryWindow(*window),))
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "grbl.md"
 GRBL = os.environ.get("PULSESTAGE_GRBL_ELF", "")
 pytestmark = [
     pytest.mark.skipif(not GRBL, reason="PULSESTAGE_GRBL_ELF names no ELF of grbl 1.1h"),
-    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
+    pytest.mark.skipif(
+        not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+    ),
 ]
 PINS = "grbl,z.enable=none"
 SETTINGS = (

@@ -13,12 +13,12 @@ from stage.board import LibraryError
 from stage.errors import ArgumentError
 from stage.targets import avr_clock_and_pins, avr_serial, supported_processors
 from stage.targets.avr_bus_wiring import parse_bus_pins
-from stage.targets.avr_clock_and_pins import PORTS
-from stage.targets.cortex_m import APPLICATION_ENDS, Semihosting
+from stage.targets.avr_clock_and_pins import PORT_LETTERS
+from stage.targets.cortex_m import APPLICATION_EXIT, Semihosting
 from stage.targets.elf import ARM, AVR, Elf, read_machine_name
 from stage.targets.nvic import FIRST, NEVER, PENDSV, SVC, SYSTICK, Nvic
 from stage.targets.pc_8086 import Pc
-from stage.targets.pc_timer import FULL, PcTimer, TimerChannel
+from stage.targets.pc_timer import MAX_RELOAD, PcTimer, TimerChannel
 from stage.targets.unicorn_processor import UnicornProcessor
 
 DATA = Path(__file__).parent / "data"
@@ -214,8 +214,8 @@ def test_counters_and_outputs_of_the_8253_by_mode():
             seven.compute_output(at),
         )
     assert all(TimerChannel(mode=3, reload=9).compute_count(t) % 2 == 0 for t in range(20))
-    assert TimerChannel(mode=2, reload=FULL).compute_count(0) == 0, "10000h in 16 bits"
-    assert TimerChannel(mode=0, reload=FULL).compute_count(0) == 0
+    assert TimerChannel(mode=2, reload=MAX_RELOAD).compute_count(0) == 0, "10000h in 16 bits"
+    assert TimerChannel(mode=0, reload=MAX_RELOAD).compute_count(0) == 0
 
 
 def test_the_bytes_of_a_counter_come_as_its_access_says():
@@ -234,7 +234,7 @@ def test_the_bytes_of_a_counter_come_as_its_access_says():
     assert (t.read(0x41), t.read(0x41)) == (0x11, 0x0D), "as it was latched, once"
     for port, value in ((0x43, 0xB4), (0x42, 0), (0x42, 0)):
         t.write(port, value)
-    assert t.channels[2].reload == FULL
+    assert t.channels[2].reload == MAX_RELOAD
     t.write(0x42, 0x34)  # half of it, and then another control word
     t.write(0x43, 0xB0)
     t.write(0x42, 0x01), t.write(0x42, 0x02)
@@ -463,7 +463,7 @@ def test_semihosting_prints_reads_the_clock_and_ends():
         1, 1, 250, 2, 0, 0, 0, 0, 0xFFFFFFFF, 0xFFFFFFFF,
     ]  # fmt: skip
     assert cpu.code is None
-    for what, about, code in ((0x18, APPLICATION_ENDS, 0), (0x18, 0x20023, 1)):
+    for what, about, code in ((0x18, APPLICATION_EXIT, 0), (0x18, 0x20023, 1)):
         cpu.request(what, about)
         assert cpu.code == code
     for argument in (0, 3, -1, -(1 << 31)):
@@ -552,5 +552,5 @@ def test_the_data_lines_are_one_port(data):
 def test_a_range_of_one_pin_is_that_pin():
     one, same = (parse_bus_pins(f"data=A,address={address},wr=G0,rd=G1") for address in ("C:3-3", "C3"))
     assert one == same
-    assert one.address == ((PORTS.index("C"), 3),)
+    assert one.address == ((PORT_LETTERS.index("C"), 3),)
     assert parse_bus_pins("data=A,address=C:0-1+D7,wr=G0,rd=G1").address == ((2, 0), (2, 1), (3, 7))

@@ -16,7 +16,7 @@ from stage.targets.pc_timer import PcTimer
 
 DATA = Path(__file__).parent / "data"
 needs_unicorn = pytest.mark.skipif(
-    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}"
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
 )
 (NO_INSTRUCTION, DIVIDES, HALTS, KEY, FUNCTION, INTERRUPT, TICKS, FOR_EVER) = range(1, 9)
 EXIT = "B44C CD21"

@@ -37,7 +37,7 @@ BYTE_NS = {
 }
 """Time of a character from the divisor of the data sheet's table, UBRR + 1, and the clock of 16 MHz."""
 needs_simavr = pytest.mark.skipif(
-    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
 )
 
 
@@ -156,7 +156,9 @@ PC_ECHO = bytes.fromhex(
 """Sets COM1 to 115200 baud, echoes each byte, and ends with code 5 after a byte 4."""
 
 
-@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
+@pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
+)
 def test_a_pc_has_a_serial_line_if_a_16550_is_on_its_bus(tmp_path):
     program = tmp_path / "echo.com"
     program.write_bytes(PC_ECHO)
@@ -175,7 +177,9 @@ def test_a_pc_has_a_serial_line_if_a_16550_is_on_its_bus(tmp_path):
         assert host.run(timeout=1).code == 5
 
 
-@pytest.mark.skipif(not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN}")
+@pytest.mark.skipif(
+    not supported_processors.has_unicorn(), reason=f"there is no {supported_processors.UNICORN_REQUIREMENT}"
+)
 def test_a_cortex_without_a_16550_says_how_it_gets_one():
     with (
         TargetHost(

@@ -22,7 +22,9 @@ CORE = Path(os.environ.get("PULSESTAGE_ARDUINO_AVR", "/usr/share/arduino/hardwar
 ACCELSTEPPER = Path(os.environ.get("PULSESTAGE_ACCELSTEPPER", ""))
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "your_sketch.md"
 pytestmark = [
-    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
+    pytest.mark.skipif(
+        not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+    ),
     pytest.mark.skipif(shutil.which("avr-g++") is None, reason="there is no avr-g++"),
     pytest.mark.skipif(not CORE.is_dir(), reason="there is no Arduino core for AVRs (Debian: arduino-core-avr)"),
 ]

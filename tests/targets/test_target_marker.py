@@ -37,7 +37,9 @@ def test_it_enables_motors_by_a_pin(host, stage):
 """
 
 
-@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
+@pytest.mark.skipif(
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+)
 def test_the_marker_names_the_processor_and_its_pins(pytester):
     for file in (DATA / "faults.avr.elf", GCODE):
         (pytester.path / file.name).write_bytes(file.read_bytes())

@@ -14,8 +14,8 @@ from toy import TOY, TOY8, defects
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, NativeError, StageError
 from stage.testing import chip_actions, chip_conformance, conformance, promises
-from stage.testing.bounded_child_process import NOT_FINISHED, BoundedChildProcess
-from stage.testing.conformance import NotConforming
+from stage.testing.bounded_child_process import TIME_LIMIT_MESSAGE, BoundedChildProcess
+from stage.testing.conformance import ConformanceError
 from stage.testing.promise_trial import describe_difference
 
 DEFECTS = defects.DEFECTS
@@ -42,14 +42,14 @@ def test_uncompiled_code_gives_the_same_bits(chip):
 @pytest.mark.slow
 def test_a_chip_that_differs_uncompiled_is_detected():
     with pytest.raises(
-        NotConforming, match=r"compiled = uncompiled\n    but: in program 0, act 0, compiled code leaves"
+        ConformanceError, match=r"compiled = uncompiled\n    but: in program 0, act 0, compiled code leaves"
     ):
         chip_conformance(
             defects.UncompiledClockDiffers, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True
         )
 
 
-test_toy = chip_conformance.tests(TOY, seed=SEED, programs=2)
+test_toy = chip_conformance.make_test_function(TOY, seed=SEED, programs=2)
 
 
 def test_a_chip_of_eight_axes_passes():
@@ -59,7 +59,7 @@ def test_a_chip_of_eight_axes_passes():
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_planted_defect_is_detected_and_its_promise_named(defect):
     chip, promise, words = DEFECTS[defect]
-    with pytest.raises(NotConforming, match=r"TOY|seed=") as error:
+    with pytest.raises(ConformanceError, match=r"TOY|seed=") as error:
         chip_conformance(chip, seed=SEED, programs=4, promises=[promise])
     assert error.value.broken.keys() == {promise}
     assert re.search(words, error.value.broken[promise]), error.value
@@ -110,7 +110,7 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
 def test_a_core_that_never_answers_is_a_broken_promise_and_the_others_are_tried():
     """chip_conformance(EndlessRead, limit=0.5), where reads of one address never return"""
     began = time.monotonic()
-    with pytest.raises(NotConforming, match=r"TOY|seed=") as error:
+    with pytest.raises(ConformanceError, match=r"TOY|seed=") as error:
         chip_conformance(defects.EndlessRead, seed=SEED, programs=1, promises=["reads", "pins_by_name"], limit=0.5)
     assert error.value.broken.keys() == {"reads"}
     assert error.value.broken["reads"].startswith("it has not ended after 0.5 s: does the core loop without end?")
@@ -118,7 +118,7 @@ def test_a_core_that_never_answers_is_a_broken_promise_and_the_others_are_tried(
 
 
 def test_a_core_that_ends_its_process_is_a_broken_promise():
-    with pytest.raises(NotConforming) as error:
+    with pytest.raises(ConformanceError) as error:
         chip_conformance(defects.CrashingRead, seed=SEED, programs=1, promises=["reads", "pins_by_name"])
     assert error.value.broken.keys() == {"reads"}
     assert (
@@ -130,13 +130,15 @@ def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypa
     monkeypatch.setattr(conformance, "SHORT_TIME_LIMIT_S", 0.5)
     argument = []
     monkeypatch.setattr(
-        BoundedChildProcess, "run_next", lambda self, limit: argument.append(limit) or f"{NOT_FINISHED} {limit:g} s"
+        BoundedChildProcess,
+        "run_next",
+        lambda self, limit: argument.append(limit) or f"{TIME_LIMIT_MESSAGE} {limit:g} s",
     )
-    with pytest.raises(NotConforming):
+    with pytest.raises(ConformanceError):
         chip_conformance(TOY, promises=["reads", "pins_by_name"], limit=30)
-    tests = chip_conformance.tests(TOY, limit=20)
+    tests = chip_conformance.make_test_function(TOY, limit=20)
     for promise in ("reads", "pins_by_name"):
-        with pytest.raises(NotConforming):
+        with pytest.raises(ConformanceError):
             tests(promise)
     assert argument == [30, 0.5, 20, 0.5]
 
@@ -150,14 +152,14 @@ def test_a_core_that_cannot_be_compiled_is_reported_once():
             raise NativeError("core.py, line 5: what changes is a field of the record")
 
     broken = type("TOY", (TOY,), {"CORE": defects.build_core(power_up=FailingAnswer())})
-    with pytest.raises(NotConforming, match=r"TOY: core\.py, line 5") as error:
+    with pytest.raises(ConformanceError, match=r"TOY: core\.py, line 5") as error:
         chip_conformance(broken)
     assert list(error.value.broken) == ["has_what_every_chip_has"]
 
 
 def test_a_failure_of_uncompiled_code_is_reported_with_its_place():
     with pytest.raises(
-        NotConforming, match=r"as plain Python it fails: IndexError: beyond \(File \".*defects.py\", line \d+, in "
+        ConformanceError, match=r"as plain Python it fails: IndexError: beyond \(File \".*defects.py\", line \d+, in "
     ):
         chip_conformance(
             defects.UncompiledIndexError, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True
@@ -191,7 +193,7 @@ def test_promises_run_in_one_process_until_one_hangs():
     child = BoundedChildProcess([get_process, get_process, lambda: time.sleep(60) or "", get_process])
     first, second = child.run_next(60), child.run_next(60)
     assert first == second != str(os.getpid())
-    assert child.run_next(0.01).startswith(f"{NOT_FINISHED} 0.01 s")
+    assert child.run_next(0.01).startswith(f"{TIME_LIMIT_MESSAGE} 0.01 s")
     assert child.run_next(60) not in (first, str(os.getpid()))
     child.close()
 

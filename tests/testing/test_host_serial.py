@@ -26,7 +26,9 @@ def test_it_is_silent(host):
 """
 
 
-@pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}")
+@pytest.mark.skipif(
+    not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+)
 def test_a_test_writes_and_reads_by_the_serial_line(pytester):
     (pytester.path / "serial.avr.elf").write_bytes((DATA / "serial.avr.elf").read_bytes())
     pytester.makepyfile(TESTS)

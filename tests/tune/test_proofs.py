@@ -94,7 +94,7 @@ def test_a_payload_must_keep_step_at_every_rotor_angle(angle):
     """More than 2.0 + 0.9 kg loses steps at only one of the angles"""
 
     def run_moves(plans, cases, limit):
-        in_step = np.ones((proof.PAYLOAD_STEPS, proof.ANGLES_PER_PAYLOAD), bool)
+        in_step = np.ones((proof.PAYLOADS_PER_ROUND, proof.ANGLES_PER_PAYLOAD), bool)
         in_step[:, angle] = [c.payload - PAYLOAD <= 0.9 for c in cases[:: proof.ANGLES_PER_PAYLOAD]]
         return SimpleNamespace(in_step=in_step.reshape(1, -1))
 

@@ -10,7 +10,7 @@ from stage import Stage
 from stage.chips import HCTL1100, MCX514
 from stage.cli import main
 from stage.cli.output_and_progress import rewrite_line
-from stage.cli.tune import _SearchProgress, explain_unit, parse_spare
+from stage.cli.tune import _SearchProgress, parse_spare, propose_distance_unit
 from stage.errors import ArgumentError
 
 
@@ -122,11 +122,11 @@ def test_a_seed_of_0_is_allowed(run_tune_command):
 
 def test_the_error_of_a_distance_without_a_unit_proposes_the_unit_of_the_axis():
     stage = Stage("xya", chips={"x": HCTL1100, "y": MCX514, "a": MCX514}, visuals=False)
-    message = [explain_unit(stage.axes[name], "100") for name in "xya"]
+    message = [propose_distance_unit(stage.axes[name], "100") for name in "xya"]
     assert [s.split("did you mean ")[1] for s in message] == ["100mm?", "100mm?", "100deg?"]
     assert ["counts" in s for s in message] == [True, False, False]
-    assert explain_unit(stage.axes["x"], "100mm") == ""
-    assert explain_unit(stage.axes["y"], " -100") == "--distance -100 is -100 pulses: did you mean -100mm?"
+    assert propose_distance_unit(stage.axes["x"], "100mm") == ""
+    assert propose_distance_unit(stage.axes["y"], " -100") == "--distance -100 is -100 pulses: did you mean -100mm?"
 
 
 def test_progress_is_shown_only_on_a_terminal(capsys, monkeypatch):

@@ -14,7 +14,7 @@ from stage.errors import ArgumentError
 if TYPE_CHECKING:
     from registerbench.arena import GameResult, SuiteResult, TranscriptWriter
 
-MAX_SHOWN_TROUBLES = 6
+MAX_PRINTED_TROUBLES = 6
 
 
 def add_agent(commands: Any) -> None:
@@ -115,8 +115,8 @@ def play_suite(args: argparse.Namespace) -> int:
         earlier_games = writer.earlier_games if writer else ()
         progress = _GameReporter(writer, len(earlier_games), len(suite.games))
         try:
-            result = arena.play(suite, player, name, limits, progress, earlier_games)
-        except arena.Interrupted as why:
+            result = arena.play_games(suite, player, name, limits, progress, earlier_games)
+        except arena.RunInterrupted as why:
             _print_result(args, why.result, out)
             saved = f"{args.output} has the games until then: --resume goes on."
             raise type(why)(f"{why} {saved if writer else '-o FILE keeps what was played.'}", why.result) from why
@@ -203,10 +203,10 @@ def _print_result(args: argparse.Namespace, result: SuiteResult, out: Any) -> No
 def _print_troubles(result: SuiteResult) -> None:
     """Print on standard error which troubles occurred in the games, and how often."""
     counts = result.trouble_counts
-    for what, times in counts.most_common(MAX_SHOWN_TROUBLES):
+    for what, times in counts.most_common(MAX_PRINTED_TROUBLES):
         print(f"stage: {what}{f' ({times} times)' if times > 1 else ''}", file=sys.stderr)
-    if len(counts) > MAX_SHOWN_TROUBLES:
-        print(f"stage: and {len(counts) - MAX_SHOWN_TROUBLES} more kinds", file=sys.stderr)
+    if len(counts) > MAX_PRINTED_TROUBLES:
+        print(f"stage: and {len(counts) - MAX_PRINTED_TROUBLES} more kinds", file=sys.stderr)
     if not any(r.valid_calls for r in result.games):
         refused = next((c for r in result.games for c in r.calls), None)
         why = f"; the first answer was: {str(refused['answer'].get('error'))[:200]}" if refused else "; none was made"
@@ -215,7 +215,7 @@ def _print_troubles(result: SuiteResult) -> None:
 
 def _make_player(args: argparse.Namespace) -> Any:
     """Make the player that the options select. Raises ArgumentError if they select several."""
-    from registerbench.arena.players import make_player
+    from registerbench.arena.players import make_game_player
 
     named = [name for name in ("by", "command", "endpoint") if getattr(args, name) is not None] + ["mcp"] * args.mcp
     if len(named) > 1:
@@ -237,7 +237,7 @@ def _make_player(args: argparse.Namespace) -> Any:
         if args.key_env and not key:
             raise ArgumentError(f"--key-env {args.key_env}: there is no such variable in the environment.")
         return EndpointPlayer(args.endpoint, args.model or "", key)
-    return make_player("formula" if args.by is None else args.by)
+    return make_game_player("formula" if args.by is None else args.by)
 
 
 def replay_transcript(args: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 from stage.cli.command_interface import add_command, add_facts
 from stage.errors import ArgumentError
 
-PROMISED = "docs/benchmark.md says what is promised, and what is not."
+PROMISES_HELP = "docs/benchmark.md says what is promised, and what is not."
 
 
 def add_bench(commands: Any) -> None:
@@ -33,7 +33,7 @@ def add_bench_submit(commands: Any) -> None:
         ("stage bench-submit formula -o formula.bench", "a player that is shipped"),
         ("stage bench-submit mine:policy -o mine.bench --split weak", "`policy` of mine.py: (observation, info) -> action"),
         ('stage bench-submit moves.npz -o moves.bench --name "by hand"', "recorded actions"),
-        more=PROMISED,
+        more=PROMISES_HELP,
     )  # fmt: skip
     p.add_argument(
         "policy", metavar="POLICY", help="module:name, actions.npz, or a player that is shipped: see `stage bench`"
@@ -73,7 +73,7 @@ def add_bench_verify(commands: Any) -> None:
         "they are equal, 1 if not, 2 if the file is refused.",
         ("stage bench-verify mine.bench", "plays the actions again and compares bit for bit"),
         ("stage bench-verify mine.bench --tolerance 1e-9", "made on another processor"),
-        more=PROMISED,
+        more=PROMISES_HELP,
     )  # fmt: skip
     p.add_argument(
         "file", metavar="FILE", help="an entry, as `stage bench-submit -o FILE` writes it, or ARCHIVE.zip/NAME"
@@ -170,7 +170,7 @@ def submit_entry(args: argparse.Namespace) -> int:
         episodes=args.episodes,
         report_progress=progress,
     )  # fmt: skip
-    progress.end()
+    progress.erase_line()
     entry.write(args.output, args.force)
     add_facts(args, file=args.output, player=entry.player, mean=_compute_mean_scores(entry))
     print(f"{entry.player}, {entry.task} {entry.split}: {len(entry.seeds)} episodes, {len(entry.rewards)} steps")
@@ -194,10 +194,10 @@ def verify_entry(args: argparse.Namespace) -> int:
 
     progress = _EpisodeCounter("replayed")
     verdict = registerbench.verify(args.file, args.tolerance, progress)
-    progress.end()
+    progress.erase_line()
     add_facts(args, verdict)
     print(verdict)
-    return 0 if verdict.ok else 1
+    return 0 if verdict.is_confirmed else 1
 
 
 def print_tables(args: argparse.Namespace) -> int:
@@ -268,7 +268,7 @@ class _EpisodeCounter:
         if self._on:
             print(f"\r\033[K{self._what} {done} of {of} episodes ...", end="", file=sys.stderr, flush=True)
 
-    def end(self) -> None:
+    def erase_line(self) -> None:
         """Erase the line."""
         if self._on:
             print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -105,7 +105,7 @@ class Card:
         faults = [name for name in values.pop("faults", ()) if name in env_class.task.Config.FAULTS]
         words = [
             f"{name} {values[ranges][0]:g} to {values[ranges][1]:g} {text}"
-            for name, (ranges, text) in machine_contexts.KINDS.items()
+            for name, (ranges, text) in machine_contexts.CONTEXT_NUMBERS.items()
             if ranges in values
         ]
         if faults:

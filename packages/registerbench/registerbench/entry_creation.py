@@ -12,7 +12,7 @@ from registerbench.benchmark_tasks import OPEN_ROUND, find_card, list_test_seeds
 from registerbench.entry_files import ACTION_TYPES, Entry
 from registerbench.package_versions import describe_environment, list_versions
 from registerbench.policies import Policy, PolicyContext, make_player
-from stage.envs.observation_features import list_hidden
+from stage.envs.observation_features import list_hidden_names
 from stage.envs.task import check_action
 from stage.errors import ArgumentError
 
@@ -70,7 +70,7 @@ class EpisodeSequence:
             dict(settings),
         )
         self.env = self.card.make_env(split, track, self.settings)
-        self._hidden_names = frozenset() if track == "truth" else list_hidden(self.env.info_features, False)
+        self._hidden_names = frozenset() if track == "truth" else list_hidden_names(self.env.info_features, False)
         self.seeds = limit_episodes(list_test_seeds(self.card, split, round_), episodes)
         self.observation: Any = None
         self.info: dict[str, Any] = {}

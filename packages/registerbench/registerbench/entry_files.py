@@ -165,7 +165,7 @@ def read_entries(path: str | os.PathLike) -> dict[str, Entry]:
 def _read_archive(path: Path, members: Sequence[str] = ()) -> dict[str, bytes]:
     """Return the content of each of these members of an archive, by name; by default of all members. Raises EntryError."""
 
-    def refuse(why: str) -> EntryError:
+    def make_entry_error(why: str) -> EntryError:
         return EntryError(f"{path} is not an archive of entries: {why}. Get it again from where it came.")
 
     content = read_bytes(path, "archive of entries", MAX_ARCHIVE_BYTES, EntryError)
@@ -173,8 +173,8 @@ def _read_archive(path: Path, members: Sequence[str] = ()) -> dict[str, bytes]:
         try:
             members = zipfile.ZipFile(io.BytesIO(content)).namelist()
         except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as why:
-            raise refuse(f"it is not a zip archive ({why!s:.200})") from None
-    return read_members(content, members, MAX_ARCHIVE_BYTES, refuse)
+            raise make_entry_error(f"it is not a zip archive ({why!s:.200})") from None
+    return read_members(content, members, MAX_ARCHIVE_BYTES, make_entry_error)
 
 
 def unpack_entry(content: bytes, name: str = "the entry") -> Entry:
@@ -188,10 +188,10 @@ def unpack_entry(content: bytes, name: str = "the entry") -> Entry:
         EntryError: The bytes are not a complete, undamaged entry.
     """
 
-    def refuse(why: str) -> EntryError:
+    def make_entry_error(why: str) -> EntryError:
         return EntryError(f"{name} is not an entry of the benchmark: {why}. Get it again from where it came.")
 
-    raw = read_members(content, MEMBERS, MAX_UNPACKED_BYTES, refuse, exact=True)
+    raw = read_members(content, MEMBERS, MAX_UNPACKED_BYTES, make_entry_error, exact=True)
     header = _parse_header(raw.pop("entry.json"), name)
     if header.pop("checksum", None) != _compute_checksum(header, raw):
         raise EntryError(f"{name} is damaged or was changed by hand: its checksum does not match its content.")
@@ -224,12 +224,12 @@ def _parse_header(text: bytes, name: str) -> dict[str, Any]:
 def _build_entry(header: dict[str, Any], raw: Mapping[str, bytes], name: str) -> Entry:
     """Build an entry from its header and the bytes of its arrays. Raises EntryError for a value that is not allowed."""
 
-    def refuse(what: str) -> EntryError:
+    def make_entry_error(what: str) -> EntryError:
         return EntryError(f"{name}: {what}.")
 
-    _check_types(header, refuse)
-    _check_values(header, refuse)
-    arrays: dict[str, Any] = _parse_arrays(header, raw, refuse)
+    _check_types(header, make_entry_error)
+    _check_values(header, make_entry_error)
+    arrays: dict[str, Any] = _parse_arrays(header, raw, make_entry_error)
     scores = dict(zip(header["scores"], arrays.pop("scores").T, strict=True))
     texts = {key: header[key] for key in TEXT_KEYS} | {key: header.get(key, "") for key in OPTIONAL_KEYS}
     return Entry(

@@ -17,7 +17,7 @@ from stage.envs.stage_env import extract_info
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 
-MAX_LANES = 16  # episodes that are played at once
+MAX_PARALLEL_ENVS = 16  # episodes that are played at once
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Verdict:
     differing_observations: int = field(default=0)
 
     @property
-    def ok(self) -> bool:
+    def is_confirmed(self) -> bool:
         """True if the replay confirms the entry, exactly or within the tolerance."""
         return self.exact or bool(self.within_tolerance)
 
@@ -80,7 +80,7 @@ class Verdict:
         """Return the verdict as `stage bench-verify --json` prints it."""
         e, first = self.entry, self.first_difference
         return {
-            "ok": self.ok, "exact": self.exact, "within": self.within_tolerance, "tolerance": self.tolerance,
+            "ok": self.is_confirmed, "exact": self.exact, "within": self.within_tolerance, "tolerance": self.tolerance,
             "whole": self.is_complete, "task": e.task, "split": e.split, "track": e.track, "round": e.round,
             "player": e.player, "run": e.run,
             "episodes": len(e.seeds), "steps": len(e.rewards), "return": float(e.scores["return"].mean()),
@@ -110,7 +110,7 @@ class Verdict:
         if self.differing_versions and not self.exact:
             lines.append("The entry was made with other versions than these, which may be the cause:")
             lines += [f"  {name}: {theirs} there, {ours} here" for name, theirs, ours in self.differing_versions]
-        elif not self.ok:
+        elif not self.is_confirmed:
             lines.append(
                 "The entry was made with these versions on such a processor, so its content is not what was played."
             )
@@ -137,7 +137,7 @@ def verify(
         raise ArgumentError(f"tolerance={tolerance!r}: must be 0 or greater.")
     e = entry if isinstance(entry, Entry) else read_entry(entry)
     card = _find_replayable_card(e)
-    lanes = min(MAX_LANES, len(e.seeds))
+    lanes = min(MAX_PARALLEL_ENVS, len(e.seeds))
     envs = card.make_env(e.split, e.track, e.settings, lanes)
     try:
         _check_actions(e, envs.single_action_space)
@@ -319,7 +319,7 @@ class _Replay:
 def _is_earlier(difference: Difference, other: Difference) -> bool:
     """Return whether a difference comes before another one in the order of episodes and steps."""
 
-    def place(d: Difference) -> tuple[float, float]:
+    def get_order(d: Difference) -> tuple[float, float]:
         return (np.inf if d.episode is None else d.episode, np.inf if d.step is None else d.step)
 
-    return place(difference) < place(other)
+    return get_order(difference) < get_order(other)

@@ -186,15 +186,15 @@ class RecordedActionsPlayer:
 def _read_episodes(path: str) -> list[np.ndarray]:
     """Return the actions of each episode in an .npz. Raises ArgumentError."""
 
-    def refuse(why: str) -> ArgumentError:
+    def make_file_error(why: str) -> ArgumentError:
         return ArgumentError(f"{path} is not an .npz file with an array `actions`: {why}.")
 
     content = read_bytes(path, "file of actions", MAX_FILE_BYTES, ArgumentError)
-    members = read_members(content, ["actions.npy"], MAX_UNPACKED_BYTES, refuse, optional=["steps.npy"])
+    members = read_members(content, ["actions.npy"], MAX_UNPACKED_BYTES, make_file_error, optional=["steps.npy"])
     try:
         arrays = {name: parse_array(data) for name, data in members.items()}
     except DocumentError as why:
-        raise refuse(str(why)) from why
+        raise make_file_error(str(why)) from why
     actions, steps = arrays["actions.npy"], arrays.get("steps.npy")
     if steps is None and actions.ndim < 2:
         raise ArgumentError(

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 import pytest
 
 import registerbench
-from registerbench.arena import GameSession, Limits, list_suites, make_player, make_suite, play
+from registerbench.arena import GameSession, Limits, list_suites, make_game_player, make_suite, play_games
 from registerbench.arena.players import SHIPPED_PLAYERS
 from registerbench.benchmark_tasks import CARDS
 from registerbench.diagnosis import SETUPS
@@ -16,7 +16,7 @@ from stage.errors import ArgumentError
 
 @pytest.fixture(scope="module")
 def delayed():
-    return play(make_suite("diagnosis:late"), make_player("technician"), "technician")
+    return play_games(make_suite("diagnosis:late"), make_game_player("technician"), "technician")
 
 
 @pytest.mark.parametrize("task", CARDS)
@@ -32,7 +32,7 @@ def test_every_task_of_the_bench_is_played_by_tools(task):
             assert table.call("act", table.call("formula").data).ok
         assert "over" in table.call("act", message.data).text
 
-    played = play(make_suite(task, episodes=1), formula)
+    played = play_games(make_suite(task, episodes=1), formula)
     assert observed == [{"task", "observe", "formula", "act"}]
     assert played.games[0].score["given_up"] == 0
     verdict = registerbench.verify(played.entry)
@@ -41,13 +41,13 @@ def test_every_task_of_the_bench_is_played_by_tools(task):
 
 
 def test_the_formula_scores_the_same_with_and_without_tools():
-    by_tools = play(make_suite("one-shot", episodes=3), make_player("formula"))
+    by_tools = play_games(make_suite("one-shot", episodes=3), make_game_player("formula"))
     alone = registerbench.play("formula", "one-shot", episodes=3)
     assert [r.score["return"] for r in by_tools.games] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
 
 
 def test_a_player_that_leaves_early_is_scored_and_its_entry_is_valid():
-    played = play(make_suite("bus-target", episodes=1), lambda table: table.call("act", {"macro": "rates usual"}))
+    played = play_games(make_suite("bus-target", episodes=1), lambda table: table.call("act", {"macro": "rates usual"}))
     assert played.games[0].score["given_up"] > 10
     assert registerbench.verify(played.entry).exact
 
@@ -61,16 +61,16 @@ def test_an_invalid_action_does_nothing(arguments):
         assert not answer.ok
         assert "act" in answer.text or "start" in answer.text
 
-    assert play(make_suite("one-shot", episodes=1), act).games[0].score["given_up"] == 1
+    assert play_games(make_suite("one-shot", episodes=1), act).games[0].score["given_up"] == 1
 
 
 @pytest.mark.parametrize("name", sorted(SHIPPED_PLAYERS))
 def test_every_shipped_player_plays_a_task_and_a_set_up(name):
     if name == "optuna":
         pytest.importorskip("optuna")
-    attempts = play(make_suite("few-shot", episodes=1), make_player(name), name)
+    attempts = play_games(make_suite("few-shot", episodes=1), make_game_player(name), name)
     assert attempts.games[0].score["moves"] == 8
-    assert play(make_suite("diagnosis:late"), make_player(name), name).value >= -0.5
+    assert play_games(make_suite("diagnosis:late"), make_game_player(name), name).value >= -0.5
 
 
 def test_the_technician_diagnoses_and_repairs_a_ramp_down_point_error(delayed):
@@ -80,7 +80,9 @@ def test_the_technician_diagnoses_and_repairs_a_ramp_down_point_error(delayed):
 
 @pytest.mark.slow
 def test_the_technician_diagnoses_and_repairs_all_ten_setups():
-    assert all(play(make_suite(f"diagnosis:{name}"), make_player("technician")).value > 0.95 for name in SETUPS)
+    assert all(
+        play_games(make_suite(f"diagnosis:{name}"), make_game_player("technician")).value > 0.95 for name in SETUPS
+    )
 
 
 def test_a_game_ends_at_its_maximum_number_of_calls():
@@ -89,7 +91,7 @@ def test_a_game_ends_at_its_maximum_number_of_calls():
             table.call("budget")
         assert "a game has no more" in table.call("finish").text
 
-    assert len(play(make_suite("diagnosis:late"), query_budget, limits=Limits(max_calls=5)).games[0].calls) == 5
+    assert len(play_games(make_suite("diagnosis:late"), query_budget, limits=Limits(max_calls=5)).games[0].calls) == 5
 
 
 # --- words ---
@@ -117,7 +119,7 @@ def test_an_unknown_suite_is_refused(name, message):
 )
 def test_an_invalid_player_is_refused(name, message):
     with pytest.raises(ArgumentError, match=message):
-        make_player(name)
+        make_game_player(name)
 
 
 def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):

@@ -7,7 +7,14 @@ import pytest
 from support.examples import scaled
 
 from registerbench.baselines import formula, formula_knobs, move_tuning, tool_calling_agent
-from registerbench.baselines.move_tuning import DISTANCE, PAYLOADS, MoveLog, MoveTuning, find_best_proof, prove_rows
+from registerbench.baselines.move_tuning import (
+    DISTANCE_PULSES,
+    PAYLOADS_KG,
+    MoveLog,
+    MoveTuning,
+    find_best_proof,
+    prove_rows,
+)
 from stage import Stage
 from stage.errors import ArgumentError
 from stage.tune.formula import Load, compute_registers, plan_profile
@@ -44,10 +51,10 @@ SLOW = pytest.mark.slow
 @pytest.mark.parametrize(
     ("payload", "distance"),
     [
-        *(pytest.param(PAYLOADS["light"], d, marks=SLOW) for d in (1600, 5000)),
-        (PAYLOADS["light"], DISTANCE),
-        *((PAYLOADS["heavy"], d) for d in (1600, 5000)),
-        pytest.param(PAYLOADS["heavy"], DISTANCE, marks=SLOW),
+        *(pytest.param(PAYLOADS_KG["light"], d, marks=SLOW) for d in (1600, 5000)),
+        (PAYLOADS_KG["light"], DISTANCE_PULSES),
+        *((PAYLOADS_KG["heavy"], d) for d in (1600, 5000)),
+        pytest.param(PAYLOADS_KG["heavy"], DISTANCE_PULSES, marks=SLOW),
     ],
 )
 def test_the_formula_loses_no_step_at_any_position_within_the_payload_tolerance(payload, distance, axis):
@@ -59,26 +66,26 @@ def test_the_formula_loses_no_step_at_any_position_within_the_payload_tolerance(
 
 
 def test_the_formula_predicts_the_duration_of_its_move(axis):
-    p = plan_profile(Load.from_axis(axis), DISTANCE)
+    p = plan_profile(Load.from_axis(axis), DISTANCE_PULSES)
     ramps = formula.np.array([p.get_accel_time(), p.get_decel_time()])
     created = (p.fl + p.fh1) / 2 * ramps.sum()
-    with MoveTuning(0.0, 1, distance=DISTANCE, lanes=1) as moves:
+    with MoveTuning(0.0, 1, distance=DISTANCE_PULSES, lanes=1) as moves:
         formula.make_formula_move(moves)
         (duration,) = moves.log.duration
-    assert duration == pytest.approx(ramps.sum() + (DISTANCE - created) / p.fh1, rel=0.01)
+    assert duration == pytest.approx(ramps.sum() + (DISTANCE_PULSES - created) / p.fh1, rel=0.01)
 
 
 def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
     """The test computes thrust, friction and mass independently."""
     load, safety = Load.from_axis(axis), formula.SAFETY_FACTOR
-    best = plan_profile(load, DISTANCE)
+    best = plan_profile(load, DISTANCE_PULSES)
     low = best.fl / load.pulses_per_metre
 
     def seconds(top):
         thrust, drag = float(load.compute_max_thrust(np.array(top))) / safety, load.friction + load.damping * top
         up, down = (thrust - drag) / load.mass, (thrust + drag) / load.mass
         ramps = (top**2 - low**2) * (0.5 / up + 0.5 / down)
-        distance = DISTANCE / load.pulses_per_metre
+        distance = DISTANCE_PULSES / load.pulses_per_metre
         return np.inf if up <= 0 or ramps > distance else (top - low) * (1 / up + 1 / down) + (distance - ramps) / top
 
     predicted_s = seconds(best.fh1 / load.pulses_per_metre)
@@ -86,10 +93,10 @@ def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
 
 
 def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower(axis):
-    bare = plan_profile(Load.from_axis(axis), DISTANCE)
-    careful = plan_profile(Load.from_axis(axis), DISTANCE, safety_factor=2.0)
+    bare = plan_profile(Load.from_axis(axis), DISTANCE_PULSES)
+    careful = plan_profile(Load.from_axis(axis), DISTANCE_PULSES, safety_factor=2.0)
     axis.stage.set_payload(10.0)
-    heavy = plan_profile(Load.from_axis(axis), DISTANCE)
+    heavy = plan_profile(Load.from_axis(axis), DISTANCE_PULSES)
     for slower in (careful, heavy):
         assert slower.fh1 < bare.fh1
         assert slower.get_accel_time() / slower.fh1 > bare.get_accel_time() / bare.fh1
@@ -97,13 +104,13 @@ def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower
 
 def test_the_formula_refuses_what_the_motor_cannot_move(axis):
     with pytest.raises(ArgumentError, match="too weak a motor"):
-        plan_profile(Load.from_axis(axis), DISTANCE, safety_factor=100.0)
+        plan_profile(Load.from_axis(axis), DISTANCE_PULSES, safety_factor=100.0)
 
 
 def test_knobs_at_zero_give_the_formula_and_each_changes_its_named_rate(axis):
-    knobs = formula_knobs.FormulaKnobs(axis, DISTANCE)
+    knobs = formula_knobs.FormulaKnobs(axis, DISTANCE_PULSES)
     middle = knobs.compute_registers(np.zeros(5))
-    assert middle == compute_registers(axis, DISTANCE)
+    assert middle == compute_registers(axis, DISTANCE_PULSES)
 
     def rates(r):
         step = 1 / r["R7"]
@@ -189,8 +196,8 @@ def test_proofs_draw_the_margin_from_none_to_full_equally_for_all_candidates(axi
     first, second = prove_rows([row, row], 2.0, 2000, repeats=32, margin=1.0, needed=2)
     assert first == second
     kg = [drawn[1] for drawn in first.drawn]
-    assert 2.0 * (1 - move_tuning.TOLERANCE) < min(kg) < 2.2
-    assert 2.8 < max(kg) < 3.0 * (1 + move_tuning.TOLERANCE)
+    assert 2.0 * (1 - move_tuning.PAYLOAD_TOLERANCE) < min(kg) < 2.2
+    assert 2.8 < max(kg) < 3.0 * (1 + move_tuning.PAYLOAD_TOLERANCE)
     assert len({drawn[2] for drawn in first.drawn}) == 32
 
 
@@ -261,7 +268,10 @@ def test_the_answer_passes_the_margin_and_has_the_best_mean_reward(axis):
     """The candidates are ordered so that a move that was lucky once comes first."""
     plans = [compute_registers(axis, 2000, safety_factor=safety) for safety in (1.5, 3.0)]
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in plans]
-    means = [np.mean(log.reward) for log in prove_rows(rows, 0.5, 2000, repeats=4, margin=move_tuning.MARGIN, needed=2)]
+    means = [
+        np.mean(log.reward)
+        for log in prove_rows(rows, 0.5, 2000, repeats=4, margin=move_tuning.PAYLOAD_MARGIN_KG, needed=2)
+    ]
     rows = [rows[k] for k in np.argsort(means)]
     which, again = move_tuning.choose_answer(rows, 0.5, 2000, repeats=4)
     assert which == 1

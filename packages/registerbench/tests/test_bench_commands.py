@@ -76,11 +76,11 @@ def test_a_replay_uses_the_requested_tolerance_and_returns_its_exit_code(monkeyp
 
     class Verdict(SimpleNamespace):
         def json(self):
-            return {"ok": self.ok}
+            return {"ok": self.is_confirmed}
 
     def verify(file, tolerance, reported):
         requested.append((file, tolerance))
-        return Verdict(ok=tolerance is not None, exact=False)
+        return Verdict(is_confirmed=tolerance is not None, exact=False)
 
     monkeypatch.setattr(registerbench, "verify", verify)
     assert main(["bench-verify", "a.bench", "--tolerance", "1e-9", "--json"]) == 0
@@ -111,7 +111,7 @@ def test_a_card_describes_the_machines_of_each_split(name, capsys):
         text = card.describe_machines(split)
         requested = machine_contexts.SPLITS[split]
         assert all(f"{of} {requested[of]}" in text for of in ("model", "chip") if of in requested)
-        for of, (ranges, unit) in machine_contexts.KINDS.items():
+        for of, (ranges, unit) in machine_contexts.CONTEXT_NUMBERS.items():
             ends = dict(card.settings).get(ranges, requested.get(ranges)) if ranges in requested else None
             assert (f"{of} {ends[0]:g} to {ends[1]:g} {unit}" in text) if ends else f"{of} " not in text
         faults = [fault for fault in requested.get("faults", ()) if fault in config.FAULTS]

@@ -200,7 +200,7 @@ def test_a_verdict_as_json_says_what_came_of_the_replay_and_where_it_first_diffe
     first = None if exact else Difference(1, 0, "reward", "1.0", "1.5")
     verdict = Verdict(submission, exact, within, True, first, 0.5, (("mujoco", "3.17.0", "3.18.0"),), 0.25, 4)
     data = verdict.json()
-    assert verdict.ok == data["ok"] == ok
+    assert verdict.is_confirmed == data["ok"] == ok
     assert (data["episodes"], data["steps"], data["return"]) == (2, 3, 1.5)
     assert (data["task"], data["split"], data["player"], data["run"]) == ("home", "train", "a", 0)
     assert (data["largest_difference"], data["tolerance"], data["observations_that_differ"]) == (0.5, 0.25, 4)

@@ -114,7 +114,7 @@ def test_the_same_player_gives_the_same_bytes_and_another_run_of_it_others(entry
 )
 def test_a_changed_action_reward_observation_or_end_is_detected_and_named(entry, name, at, value, says):
     verdict = registerbench.verify(change_entry(entry, name, at, value))
-    assert not verdict.ok
+    assert not verdict.is_confirmed
     assert re.search(says, str(verdict)), verdict
     assert "made with these versions on such a processor" in str(verdict)
 
@@ -128,16 +128,16 @@ def test_a_changed_score_is_detected_and_one_that_does_not_exist(entry):
 
 def test_a_tolerance_distinguishes_close_from_equal_results(entry):
     near = change_entry(change_entry(entry, "rewards", 2, entry.rewards[2] + 1e-9), "seen", 0, 7)
-    assert not registerbench.verify(near).ok
+    assert not registerbench.verify(near).is_confirmed
     verdict = registerbench.verify(near, tolerance=1e-6)
-    assert verdict.ok
+    assert verdict.is_confirmed
     assert not verdict.exact
     assert "equal within 1e-06, not bit for bit" in str(verdict)
     assert "1 of 9 observations are not the same bits" in str(verdict)
     maximum = registerbench.verify(change_entry(near, "rewards", 0, entry.rewards[0] + 1e-3), tolerance=1)
     assert maximum.largest_difference == pytest.approx(1e-3), "and not the last difference"
     distance = registerbench.verify(near, tolerance=1e-12)
-    assert not distance.ok
+    assert not distance.is_confirmed
     assert "episode 1, step 0, reward" in str(distance), "and not the observation, of which there is a digest alone"
     for wrong in (-1, float("inf"), float("nan")):
         with pytest.raises(ArgumentError, match=f"tolerance={wrong}: must be 0 or greater"):
@@ -324,7 +324,9 @@ def test_a_policy_observes_only_the_entries_of_its_track():
         for _, names in host.observation_digests
     )
     assert {"payload", "current", "loss", "inductance"} <= truth.observation_digests[0][1]
-    assert truth.observation_digests[0][0][0] == host.observation_digests[0][0][0] + len(machine_contexts.OBSERVATION)
+    assert truth.observation_digests[0][0][0] == host.observation_digests[0][0][0] + len(
+        machine_contexts.OBSERVATION_FEATURES
+    )
     assert entry.player == "Watching"
     assert registerbench.verify(entry).exact
 

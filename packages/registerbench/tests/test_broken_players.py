@@ -11,7 +11,7 @@ import time
 import pytest
 from fake_model import FakeModel, calls
 
-from registerbench.arena import Limits, make_suite, play, replay
+from registerbench.arena import Limits, make_suite, play_games, replay
 from registerbench.arena.players.external_command import CommandPlayer
 from registerbench.arena.players.model_endpoint import EndpointPlayer
 from stage.cli import main
@@ -23,7 +23,7 @@ AGENT_COMMAND = ["agent", "diagnosis:late"]
 def get_end_reason(player, limits=SHORT):
     """Play one game and return the reason for its end; fail if it takes too long."""
     started = time.monotonic()
-    came = play(make_suite("diagnosis:late"), player, "slow", limits)
+    came = play_games(make_suite("diagnosis:late"), player, "slow", limits)
     assert time.monotonic() - started < 60  # the players hang for 1000 s
     assert not came.is_valid
     assert replay(came).is_same
@@ -48,7 +48,7 @@ def test_a_function_that_hangs_is_abandoned_and_the_next_game_is_played():
             while True:
                 pass
 
-    came = play(make_suite("diagnosis", episodes=2), hangs, "hangs", SHORT)
+    came = play_games(make_suite("diagnosis", episodes=2), hangs, "hangs", SHORT)
     assert [r.end_reason for r in came.games] == ["timed out: no call for 0.15 s", ""]
     assert [r.valid_calls for r in came.games] == [1, 1]
     assert not came.is_valid
@@ -68,7 +68,7 @@ def test_a_function_that_ignores_the_end_of_a_game_is_terminated():
         while True:
             table.call("budget")
 
-    came = play(make_suite("diagnosis:late"), ignores, "i", Limits(max_calls=5))
+    came = play_games(make_suite("diagnosis:late"), ignores, "i", Limits(max_calls=5))
     assert len(came.games[0].calls) == 5
     assert came.trouble_counts["calls after the end"]
 
@@ -78,7 +78,7 @@ def test_simulation_time_does_not_count_against_the_player():
         table.call("wait", {"seconds": 6})
         table.call("wait", {"seconds": 6})
 
-    assert play(make_suite("diagnosis:late"), waits, "w", Limits(patience=0.2, time=0.2)).is_valid
+    assert play_games(make_suite("diagnosis:late"), waits, "w", Limits(patience=0.2, time=0.2)).is_valid
 
 
 class Drips(http.server.BaseHTTPRequestHandler):
@@ -168,13 +168,13 @@ def test_a_function_without_await_may_be_async():
         await asyncio.sleep(0)
         table.call("program")
 
-    assert play(make_suite("diagnosis:late"), later).games[0].valid_calls == 1
+    assert play_games(make_suite("diagnosis:late"), later).games[0].valid_calls == 1
 
 
 @pytest.mark.parametrize("tokens", ["12", -1, 1.5, True, [1], 1 << 60])
 def test_invalid_token_counts_are_ignored_and_reported(tokens):
     with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
-        came = play(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
+        came = play_games(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert came.tokens == 0
     assert came.trouble_counts["tokens that are no whole number, and are not counted"] == 1
 
@@ -182,7 +182,7 @@ def test_invalid_token_counts_are_ignored_and_reported(tokens):
 @pytest.mark.parametrize("tokens", [0, 1, (1 << 40) - 1])
 def test_an_integer_token_count_is_added_including_zero(tokens):
     with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
-        came = play(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
+        came = play_games(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert (came.tokens, came.trouble_counts["tokens that are no whole number, and are not counted"]) == (tokens, 0)
 
 
@@ -199,14 +199,14 @@ def test_arguments_that_json_cannot_hold_are_refused(values):
         assert "cannot be written as JSON" in table.call("write_program", values).text
         table.call("task")
 
-    came = play(make_suite("diagnosis:late"), odd)
+    came = play_games(make_suite("diagnosis:late"), odd)
     assert replay(came).is_same
     json.dumps(came.games[0].calls)
 
 
 def test_deeply_nested_json_does_not_end_the_game():
     code = "import sys; input(); print('{\"call\": \"task\", \"arguments\": ' + '[' * 900 + ']' * 900 + '}', flush=True); input()"
-    came = play(make_suite("diagnosis:late"), CommandPlayer([sys.executable, "-c", code]))
+    came = play_games(make_suite("diagnosis:late"), CommandPlayer([sys.executable, "-c", code]))
     assert came.games[0].valid_calls == 0
     assert replay(came).is_same
 
@@ -216,4 +216,4 @@ def test_an_answer_after_the_end_does_not_count():
         table.call("finish")
         assert "this game is over" in table.call("answer", {"cause": "ramp-down point too late"}).text
 
-    assert play(make_suite("diagnosis:late"), delayed).value == 0
+    assert play_games(make_suite("diagnosis:late"), delayed).value == 0

@@ -12,7 +12,7 @@ from support.damage import damage, replace_value, zipped
 from support.examples import SEED, scaled
 
 import registerbench
-from registerbench.arena import make_suite, play, read_transcript, write_transcript
+from registerbench.arena import make_suite, play_games, read_transcript, write_transcript
 from registerbench.policies import RecordedActionsPlayer
 from stage import StageError
 
@@ -43,7 +43,7 @@ def intact(tmp_path_factory):
     """The bytes of an intact file of each format."""
     folder = tmp_path_factory.mktemp("whole")
     write_transcript(
-        play(make_suite("diagnosis:late"), lambda table: table.call("program"), "looks"), folder / "a.jsonl"
+        play_games(make_suite("diagnosis:late"), lambda table: table.call("program"), "looks"), folder / "a.jsonl"
     )
     entry = registerbench.play("random", "line", episodes=1).pack()
     np.savez(folder / "a.npz", actions=np.ones((6, 4)), steps=np.array([2, 3, 1]))

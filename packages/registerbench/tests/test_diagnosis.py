@@ -49,8 +49,8 @@ def test_a_setup_fails_as_described_and_works_when_repaired(case, name):
     else:
         assert c.box.call("service", {"work": WORK[c.setup.causes[0]]}).ok
     c.box.call("answer", {"cause": c.setup.causes[0]})
-    assert c.score().value >= 0.99
-    assert c.score() == c.score()
+    assert c.compute_score().value >= 0.99
+    assert c.compute_score() == c.compute_score()
 
 
 def test_service_of_an_intact_part_repairs_nothing(case):
@@ -58,7 +58,7 @@ def test_service_of_an_intact_part_repairs_nothing(case):
     for work, cause in SERVICES.items():
         if cause != c.setup.causes[0]:
             c.box.call("service", {"work": work})
-    assert not c.score().repaired
+    assert not c.compute_score().repaired
 
 
 def test_a_base_address_applies_only_to_the_program_that_sets_it(case):
@@ -68,7 +68,7 @@ def test_a_base_address_applies_only_to_the_program_that_sets_it(case):
     lines = c.box.call("program").text.splitlines()
     assert c.box.call("write_program", {"text": "\n".join(line for line in lines if not line.startswith("base"))}).ok
     c.box.call("run")
-    assert c.score().repaired
+    assert c.compute_score().repaired
 
 
 def test_an_agent_receives_no_machine_state_that_a_host_cannot_read(case):
@@ -84,7 +84,7 @@ def test_runs_are_counted_and_the_first_answer_counts(case):
     assert "All 1 runs are used" in c.box.call("run").text
     c.box.call("answer", {"cause": "supply too low"})
     assert "You have already answered" in c.box.call("answer", {"cause": c.setup.causes[0]}).text
-    assert c.score().value == -0.5
+    assert c.compute_score().value == -0.5
     assert not c.over
     c.box.call("finish")
     assert c.over
@@ -95,7 +95,7 @@ def test_an_agent_that_exhausts_its_budget_is_still_scored(case):
     c.box.meter.ns = 10**15
     assert "of simulated time are spent" in c.box.call("run").text
     c.box.call("write_program", {"text": c._text.replace(*BETTER["late"])})
-    assert c.score().repaired
+    assert c.compute_score().repaired
 
 
 def test_writes_to_an_address_without_a_chip_have_no_effect(case):

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from registerbench.arena import make_player, make_suite, play
+from registerbench.arena import make_game_player, make_suite, play_games
 from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
 from registerbench.diagnosis.acceptance_trial import AcceptanceTrial, TrialSample, find_rests
 
@@ -16,7 +16,7 @@ def score(name, act):
     case = Case(name)
     try:
         act(case.box)
-        return case.score()
+        return case.compute_score()
     finally:
         case.box.close()
 
@@ -134,13 +134,13 @@ def test_nothing_counts_after_finish():
     for name, arguments in (("answer", {"cause": "supply too low"}), ("write_program", {"text": ""}), ("run", {}),
                         ("service", {"work": "set the supply of the drives to what is on the nameplate"})):  # fmt: skip
         assert "You have finished" in case.box.call(name, arguments).text
-    assert case.score().value == 0
+    assert case.compute_score().value == 0
     case.box.close()
 
 
 @pytest.mark.slow
 def test_the_technician_scores_almost_one_on_all_setups():
-    results = [play(make_suite(f"diagnosis:{name}"), make_player("technician")) for name in SETUPS]
+    results = [play_games(make_suite(f"diagnosis:{name}"), make_game_player("technician")) for name in SETUPS]
     assert all(result.value > 0.95 for result in results)
 
 

@@ -20,7 +20,7 @@ def brief(monkeypatch):
     """Let splits have four test episodes, and runs of learners few machines."""
     card = dataclasses.replace(benchmark_tasks.CARDS["one-shot"], episodes=4)
     monkeypatch.setitem(benchmark_tasks.CARDS, "one-shot", card)
-    monkeypatch.setitem(parametric_policy_learners.BUDGET, "one-shot", (1, 2))
+    monkeypatch.setitem(parametric_policy_learners.GENERATIONS_AND_MACHINES, "one-shot", (1, 2))
     monkeypatch.setattr(parametric_policy_learners, "EPISODES", 4)
 
 

@@ -198,7 +198,7 @@ def test_the_progress_reward_of_an_axis_is_independent_of_a_second_axis():
     from registerbench.baselines import bus_macros_learners as learners
 
     def progress(level, **targets):
-        weight = learners.PROGRESS[level]
+        weight = learners.PROGRESS_WEIGHTS[level]
         env = gymnasium.make(learners.ID, disable_env_checker=True, level=level, progress_weight=weight).unwrapped
         env.reset(seed=1, options={"targets": targets})
         text = ("rates usual", "distance 1024", "plus", "wait")
@@ -210,9 +210,9 @@ def test_the_progress_reward_of_an_axis_is_independent_of_a_second_axis():
 
 
 def test_a_stopped_learner_reports_its_saved_file_and_the_exit_code_of_a_signal(capsys):
-    from registerbench.baselines import explain_interrupt
+    from registerbench.baselines import exit_on_interrupt
 
-    with pytest.raises(SystemExit) as stopped, explain_interrupt("two runs are kept."):
+    with pytest.raises(SystemExit) as stopped, exit_on_interrupt("two runs are kept."):
         raise KeyboardInterrupt
     assert stopped.value.code == 130
     assert "two runs are kept." in capsys.readouterr().err

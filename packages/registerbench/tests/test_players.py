@@ -8,7 +8,7 @@ import threading
 import pytest
 from fake_model import FakeModel, calls, says
 
-from registerbench.arena import make_suite, play, replay
+from registerbench.arena import make_suite, play_games, replay
 from registerbench.arena.players.external_command import CommandPlayer
 from registerbench.arena.players.model_endpoint import EndpointPlayer
 from stage.errors import ArgumentError, StageError
@@ -32,7 +32,7 @@ def create_command_player(code, **how):
 
 
 def test_a_command_that_speaks_json_lines_plays():
-    played = play(make_suite("diagnosis:late"), create_command_player(SOLVES), "mine")
+    played = play_games(make_suite("diagnosis:late"), create_command_player(SOLVES), "mine")
     assert played.value == pytest.approx(1.0 - 0.5 * 3 * 0.001)
     assert played.tokens == 12
     assert replay(played).is_same
@@ -43,13 +43,13 @@ def test_a_command_that_speaks_json_lines_plays():
              "print('x' * 3_000_000, flush=True)", "import os; os.close(1); input(); input()"]
 )  # fmt: skip
 def test_a_command_with_invalid_output_is_scored_normally(code):
-    played = play(make_suite("diagnosis:late"), create_command_player(code), "odd")
+    played = play_games(make_suite("diagnosis:late"), create_command_player(code), "odd")
     assert played.value == 0.0
 
 
 def test_a_command_that_does_not_exist_is_reported():
     with pytest.raises(StageError, match="Name a program"):
-        play(make_suite("diagnosis:late"), CommandPlayer("/nowhere/agent"))
+        play_games(make_suite("diagnosis:late"), CommandPlayer("/nowhere/agent"))
     with pytest.raises(ArgumentError, match="is empty"):
         CommandPlayer("  ")
 
@@ -69,7 +69,7 @@ def reply_with_repair(body):
 
 def test_a_model_at_an_endpoint_plays():
     with FakeModel(calls(("program", {})), says("let me see"), reply_with_repair) as model:
-        played = play(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake", "secret"))
+        played = play_games(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake", "secret"))
     assert (played.player, round(played.value, 9), played.tokens) == ("fake", 0.998, 21)
     assert model.heads[0]["Authorization"] == "Bearer secret"
     assert model.requests[0]["tools"][0]["type"] == "function"
@@ -80,7 +80,7 @@ def test_a_model_at_an_endpoint_plays():
 def test_errors_of_a_model_are_explained_to_it():
     wrong = calls(("runn", {}), ("service", '{"work": '), ("answer", '["x"]'), ("answer", {"cause": "late"}))
     with FakeModel(wrong, calls(("finish", {}))) as model:
-        play(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
+        play_games(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
         message = [m["content"] for m in model.requests[1]["messages"] if m["role"] == "tool"]
     assert all(text.startswith("error: ") for text in message)
     assert "Did you mean 'run'" in message[0]
@@ -89,14 +89,14 @@ def test_errors_of_a_model_are_explained_to_it():
 
 def test_a_model_that_calls_no_tool_ends_its_game():
     with FakeModel() as model:
-        played = play(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
+        played = play_games(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert played.value == 0.0
     assert len(model.requests) == 3
 
 
 def test_a_busy_endpoint_is_tried_again():
     with FakeModel(503, 429, calls(("finish", {}))) as model:
-        assert play(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0)).games[0].calls
+        assert play_games(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0)).games[0].calls
     assert len(model.requests) == 3
 
 
@@ -109,12 +109,12 @@ NO_REPLIES = (
 @pytest.mark.parametrize(("reply", "message"), NO_REPLIES)
 def test_an_invalid_endpoint_reply_is_reported(reply, message):
     with FakeModel(reply) as model, pytest.raises(StageError, match=message):
-        play(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0))
+        play_games(make_suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0))
 
 
 def test_an_endpoint_that_cannot_be_reached_is_reported():
     with pytest.raises(StageError, match="cannot be reached"):
-        play(make_suite("diagnosis:late"), EndpointPlayer("http://127.0.0.1:9/v1", "fake", pause=0.0))
+        play_games(make_suite("diagnosis:late"), EndpointPlayer("http://127.0.0.1:9/v1", "fake", pause=0.0))
 
 
 # --- clients ---
@@ -172,7 +172,7 @@ def test_the_api_key_is_sent_only_to_the_configured_address():
         try:
             url = f"http://127.0.0.1:{server.server_port}/v1"
             with pytest.raises(StageError, match="302"):
-                play(make_suite("diagnosis:late"), EndpointPlayer(url, "m", "secret", pause=0.0))
+                play_games(make_suite("diagnosis:late"), EndpointPlayer(url, "m", "secret", pause=0.0))
         finally:
             server.shutdown()
     assert came == []

@@ -10,7 +10,7 @@ import pytest
 
 from registerbench.baselines import method_runs as published
 from registerbench.baselines.method_runs import MethodRun, MethodRuns
-from registerbench.baselines.move_tuning import MAX_HOLDING, REPEATS, MoveLog
+from registerbench.baselines.move_tuning import MAX_HOLDING_MOVES, REPEATS, MoveLog
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA, PAGE = DOCS / "data" / "results.parquet", DOCS / "results.md"
@@ -36,7 +36,7 @@ def run(method="CMA-ES", seed=1, reward=-0.4, duration=0.4, matches=True):
     created = MethodRun(method, "heavy", seed, moves(-0.3, -0.35))
     if matches:
         created.proof_logs = {0: moves(-5.3, saved=False), 1: moves(*[-0.36] * 48)}
-        created.test_logs = {context: moves(reward, duration=duration) for context in published.TEST_CONTEXTS}
+        created.test_logs = {context: moves(reward, duration=duration) for context in published.TEST_CONDITIONS}
     return created
 
 
@@ -70,12 +70,12 @@ def test_a_method_beats_the_formula_with_ten_seeds_and_a_positive_reward_interva
 
 def test_an_answer_is_reported_by_its_test_and_not_by_its_proof():
     created = run(reward=-0.41)
-    assert (created.answer, created.lucky_moves) == (1, 1)
+    assert (created.answer_number, created.lucky_move_count) == (1, 1)
     assert created.compute_mean("reward") == pytest.approx(-410)
     assert created.reward_excess == pytest.approx(50)
     created.test_logs[published.NEW_MOVES] = moves(-0.4, -5.4)
     created.test_logs[published.NEW_MOVES].in_step[1] = False
-    assert created.count_lost(published.NEW_MOVES) == 1
+    assert created.count_failed_moves(published.NEW_MOVES) == 1
     assert created.compute_mean("reward") == pytest.approx(-2900), "a lost step is paid for"
     assert created.compute_mean("reward", in_step_only=True) == pytest.approx(-400)
 
@@ -99,8 +99,8 @@ def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
     assert (back.budget, back.payloads, back.versions) == (2, {"heavy": 10.0}, {"mujoco": "3.17.0"})
     for old, new in zip(some.runs, back.runs, strict=True):
-        assert (new.method, new.payload, new.seed, new.answer, new.lucky_moves) == (
-            old.method, old.payload, old.seed, old.answer, old.lucky_moves,
+        assert (new.method, new.payload, new.seed, new.answer_number, new.lucky_move_count) == (
+            old.method, old.payload, old.seed, old.answer_number, old.lucky_move_count,
         )  # fmt: skip
         assert new.search_log.registers == old.search_log.registers
         assert list(new.proof_logs) == list(old.proof_logs)
@@ -139,13 +139,13 @@ def test_each_published_answer_follows_from_its_proofs(all_):
         holding = {
             k: np.mean(log.reward) for k, log in r.proof_logs.items() if len(log) == REPEATS and all(log.in_step)
         }
-        assert len(holding) <= MAX_HOLDING
-        assert r.answer == (max(holding, key=holding.get) if holding else None)
+        assert len(holding) <= MAX_HOLDING_MOVES
+        assert r.answer_number == (max(holding, key=holding.get) if holding else None)
         assert {c: len(log) for c, log in r.test_logs.items()} == (
-            {c: k.moves for c, k in published.TEST_CONTEXTS.items()} if holding else {}
+            {c: k.moves for c, k in published.TEST_CONDITIONS.items()} if holding else {}
         )
         registers = [log.registers for log in r.test_logs.values()]
-        assert all(row == r.search_log.registers[r.answer] for rows in registers for row in rows)
+        assert all(row == r.search_log.registers[r.answer_number] for rows in registers for row in rows)
         answers += bool(holding)
     assert answers > 80
 

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 import numpy as np
 import pytest
 
-from registerbench.arena import make_player, make_suite, play
+from registerbench.arena import make_game_player, make_suite, play_games
 from registerbench.diagnosis import CAUSES, NO_FAULT, SERVICES, Case, generate_setup
 from registerbench.diagnosis.setup_generation import count_causes
 
@@ -82,7 +82,7 @@ def answer_only(session):
 
 
 def test_an_answer_without_a_measurement_is_worth_nothing_in_the_suite():
-    assert play(make_suite("diagnosis", episodes=10), answer_only).value <= 0.05
+    assert play_games(make_suite("diagnosis", episodes=10), answer_only).value <= 0.05
 
 
 def test_a_repair_without_its_cause_is_worth_nothing():
@@ -94,7 +94,7 @@ def test_a_repair_without_its_cause_is_worth_nothing():
         assert case.box.call("write_program", {"text": setup.right_program}).ok
         for cause in causes:
             case.box.call("answer", {"cause": cause})
-        score = case.score()
+        score = case.compute_score()
         assert score.repaired
         assert score.value == pytest.approx(value, abs=0.01)
         case.box.close()
@@ -108,7 +108,7 @@ def test_two_faults_count_half_each_and_a_wrong_one_takes_a_half_away():
     for (cause, *more), found in answers.items():
         case = Case(setup)
         case.box.call("answer", {"cause": cause, **({"second": more[0]} if more else {})})
-        assert case.score().found == found
+        assert case.compute_score().found == found
         case.box.close()
 
 
@@ -146,4 +146,4 @@ def test_a_round_has_setups_that_follow_from_its_word():
 
 @pytest.mark.slow
 def test_the_technician_scores_above_four_fifths_in_the_open_round():
-    assert play(make_suite("diagnosis", episodes=24), make_player("technician")).value > 0.8
+    assert play_games(make_suite("diagnosis", episodes=24), make_game_player("technician")).value > 0.8

@@ -115,7 +115,7 @@ def test_a_published_entry_with_one_other_action_is_detected():
     bits_are_promised(entry)
     actions = entry.actions.copy()
     actions[0, 0] = np.float32(-0.9)
-    assert not registerbench.verify(dataclasses.replace(entry, actions=actions)).ok
+    assert not registerbench.verify(dataclasses.replace(entry, actions=actions)).is_confirmed
 
 
 @pytest.mark.slow

@@ -6,11 +6,11 @@ import json
 import pytest
 
 from registerbench.arena import (
-    Interrupted,
+    RunInterrupted,
     TranscriptWriter,
-    make_player,
+    make_game_player,
     make_suite,
-    play,
+    play_games,
     read_transcript,
     replay,
     transcript,
@@ -31,12 +31,12 @@ def samples(table):
 
 @pytest.fixture(scope="module")
 def delayed():
-    return play(make_suite("diagnosis:late"), make_player("technician"), "technician")
+    return play_games(make_suite("diagnosis:late"), make_game_player("technician"), "technician")
 
 
 @pytest.fixture(scope="module")
 def three():
-    return play(make_suite("diagnosis", episodes=3), samples, "looks")
+    return play_games(make_suite("diagnosis", episodes=3), samples, "looks")
 
 
 def lines(path):
@@ -109,7 +109,7 @@ def test_a_part_is_never_reported_as_the_suite(three, delayed, tmp_path, capsys)
 @pytest.mark.parametrize("change", ["of", "fewer", "other", "seed", "round", "split"])
 def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
     came = (
-        play(make_suite("one-shot", episodes=2), make_player("random"), "r")
+        play_games(make_suite("one-shot", episodes=2), make_game_player("random"), "r")
         if change in ("seed", "round", "split")
         else None
     )
@@ -138,7 +138,7 @@ def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
 
 
 def test_calls_after_the_end_or_beyond_the_limit_are_detected(tmp_path):
-    came = play(make_suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(max_calls=1))
+    came = play_games(make_suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(max_calls=1))
     write_transcript(came, tmp_path / "t.jsonl")
     rows = lines(tmp_path / "t.jsonl")
     more = {
@@ -185,12 +185,12 @@ def test_games_that_a_suite_does_not_contain_are_refused(three, tmp_path, k, key
 
 def test_limits_other_than_the_defaults_are_reported():
     assert "up to 9 calls a game, and 400 are usual" in str(
-        play(make_suite("diagnosis:late"), samples, "l", Limits(max_calls=9))
+        play_games(make_suite("diagnosis:late"), samples, "l", Limits(max_calls=9))
     )
 
 
 def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
-    came = play(make_suite("few-shot", "weak", 2), make_player("random"), "random")
+    came = play_games(make_suite("few-shot", "weak", 2), make_game_player("random"), "random")
     write_transcript(came, tmp_path / "r.jsonl")
     assert replay(tmp_path / "r.jsonl").is_same
 
@@ -215,8 +215,8 @@ def create_breaking_player(at):
 def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
     games, file = make_suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
     with TranscriptWriter(file, make_header(games, "p", Limits())) as writer:
-        with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:2: the endpoint is out of money$") as error:
-            play(games, create_breaking_player(3), "p", report_progress=writer.write_game)
+        with pytest.raises(RunInterrupted, match=r"^game 3 of 4, diagnosis:2: the endpoint is out of money$") as error:
+            play_games(games, create_breaking_player(3), "p", report_progress=writer.write_game)
         assert len(error.value.result.games) == 2
     results = replay(file)
     assert not results.is_same
@@ -227,7 +227,7 @@ def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
     assert "2 of its 4 games" in replay(file).missing_part
     later = create_breaking_player(0)
     with TranscriptWriter(file, make_header(games, "p", Limits()), resume=True) as writer:
-        came = play(games, later, "p", report_progress=writer.write_game, earlier_games=writer.earlier_games)
+        came = play_games(games, later, "p", report_progress=writer.write_game, earlier_games=writer.earlier_games)
         writer.write_summary(came)
     assert later.games == ["diagnosis:2", "diagnosis:3"]
     assert replay(file).is_same
@@ -271,13 +271,13 @@ def test_continuing_requires_the_earlier_games_to_replay_identically(tmp_path, t
         TranscriptWriter(file, three.head, resume=True) as writer,
         pytest.raises(ArgumentError, match="comes out otherwise here"),
     ):
-        play(make_suite("diagnosis", episodes=3), samples, "looks", earlier_games=writer.earlier_games)
+        play_games(make_suite("diagnosis", episodes=3), samples, "looks", earlier_games=writer.earlier_games)
 
 
 def test_a_transcript_that_ends_within_a_game_is_refused(tmp_path):
     """The last game of the transcript lacks the line of its score."""
     games, file = make_suite("diagnosis", episodes=2), tmp_path / "t.jsonl"
-    write_transcript(play(games, create_breaking_player(0), "p"), file)
+    write_transcript(play_games(games, create_breaking_player(0), "p"), file)
     lines = file.read_text().splitlines(keepends=True)
     scores = [k for k, line in enumerate(lines) if "score" in json.loads(line)]
     file.write_text("".join(lines[: scores[-1]] + lines[scores[-1] + 1 :]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pulsestage_trinamic import common_power_stage
 from stage.native import hot, least
 
-STEPS_DOWN = (32, 8, 2, 1)
+MEASUREMENTS_PER_STEP_DOWN = (32, 8, 2, 1)
 """Measurements for one step down, by SEDN."""
 
 
@@ -40,7 +40,7 @@ def adapt_current(c, coolconf, irun):
         c.count = 0
     elif c.sg >= top:
         c.count += 1
-        if c.count >= STEPS_DOWN[coolconf >> 13 & 3]:
+        if c.count >= MEASUREMENTS_PER_STEP_DOWN[coolconf >> 13 & 3]:
             c.count = 0
             bottom = irun >> (2 if coolconf >> 15 & 1 else 1)
             c.cs = bottom if c.cs - 1 < bottom else c.cs - 1

@@ -11,7 +11,7 @@ import math
 from stage.chips.stepdir.state import HISTORY
 from stage.native import floor, hot, least
 
-FIELDS = [
+STATE_FIELDS = [
     ("field", "i8"),  # place of the field since power-up, after all steps
     ("unit", "i8"),  # places in a microstep of the axis' Drive
     ("moves", "i8"),  # number of steps of the field

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from stage import Stage
 
 CLOCK_READ_S = 20e-6
-SLICE_S = 200e-6
+MAX_POLL_INTERVAL_S = 200e-6
 """Longest simulated time between two polls of the watched lines and the serial port."""
-SHARED_SLICE_S = 20e-6
+SHARED_ADVANCE_S = 20e-6
 """Simulated time that passes at once while other threads of the program may want to act in between."""
 YIELD_S = 20e-6
 """Real time for which a thread then steps back."""
-POLL_S = 200e-6
+IDLE_POLL_INTERVAL_S = 200e-6
 """Real time between two polls of the serial port while no simulated time passes."""
 TURNAROUND_S = 200e-6
 """Simulated time that passes after the last byte: no program is faster, and chips listen again after an idle time."""
@@ -124,15 +124,15 @@ class SingleBoardHost:
                     idle_from = self.stage.time + TURNAROUND_S
                 is_busy = self.stage.time < idle_from
                 if is_busy:
-                    self._advance(SHARED_SLICE_S)
-            self._real_sleep(YIELD_S if is_busy else POLL_S)
+                    self._advance(SHARED_ADVANCE_S)
+            self._real_sleep(YIELD_S if is_busy else IDLE_POLL_INTERVAL_S)
 
     # --- time ---
 
     def advance(self, seconds: float) -> None:
         """Let simulated time pass, and poll the serial port and the watched lines meanwhile."""
         is_shared = threading.active_count() > 1 + (self._server is not None)
-        slice_s = SHARED_SLICE_S if is_shared else SLICE_S
+        slice_s = SHARED_ADVANCE_S if is_shared else MAX_POLL_INTERVAL_S
         while seconds > 0:
             with self._lock:
                 if self.stage.time - self._exchanged >= slice_s or seconds >= slice_s:

@@ -10,7 +10,9 @@ from stage.board import Board
 from stage.targets import TargetHost, supported_processors
 
 pytestmark = [
-    pytest.mark.skipif(not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR}"),
+    pytest.mark.skipif(
+        not supported_processors.has_simavr(), reason=f"there is no {supported_processors.SIMAVR_REQUIREMENT}"
+    ),
     pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc"),
 ]
 FIND_FIRST_STEP_WITH_INDEX = """

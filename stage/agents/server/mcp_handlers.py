@@ -30,7 +30,7 @@ NO_SESSION = (
     "This request belongs to no session, and a stage lasts as long as a session: connect with the `initialize` handshake "
     f"({', '.join(HANDSHAKE_PROTOCOL_VERSIONS)}) and send the Mcp-Session-Id that comes back."
 )
-FindKey = Callable[[ServerRequestContext[Any, Any]], str | None]
+SessionKeyFinder = Callable[[ServerRequestContext[Any, Any]], str | None]
 
 
 class ProtocolServer:
@@ -45,7 +45,12 @@ class ProtocolServer:
     """
 
     def __init__(
-        self, factory: ToolboxFactory, sessions: ClientSessions, find_key: FindKey, sessionless: bool, threads: int
+        self,
+        factory: ToolboxFactory,
+        sessions: ClientSessions,
+        find_key: SessionKeyFinder,
+        sessionless: bool,
+        threads: int,
     ):
         self._factory, self._sessions, self._find_key, self._threads = factory, sessions, find_key, threads
         self._limiter: anyio.CapacityLimiter | None = None
@@ -57,7 +62,7 @@ class ProtocolServer:
             on_list_resource_templates=self._list_templates,
             on_list_prompts=self._list_prompts, on_get_prompt=self._get_prompt,
         )  # fmt: skip
-        self.server.middleware.append(_check_call_form)
+        self.server.middleware.append(_answer_malformed_call)
         if not sessionless:
             self.server.add_request_handler("server/discover", types.RequestParams, self._discover)
 
@@ -125,7 +130,7 @@ class ProtocolServer:
                 raise unknown_name_error("resource", uri, pages)
             return pages[uri].kind, pages[uri].read(box)
 
-        kind, text = await self._run_or_refuse(read_page)
+        kind, text = await self._run_with_protocol_errors(read_page)
         return types.ReadResourceResult(contents=[types.TextResourceContents(uri=uri, mime_type=kind, text=text)])
 
     async def _list_prompts(self, ctx: Any, params: Any) -> types.ListPromptsResult:
@@ -140,11 +145,13 @@ class ProtocolServer:
         return types.ListPromptsResult(prompts=prompts)
 
     async def _get_prompt(self, ctx: Any, params: types.GetPromptRequestParams) -> types.GetPromptResult:
-        text = await self._run_or_refuse(lambda: fill_prompt(params.name, params.arguments, self._factory.catalog.axes))
+        text = await self._run_with_protocol_errors(
+            lambda: fill_prompt(params.name, params.arguments, self._factory.catalog.axes)
+        )
         message = types.PromptMessage(role="user", content=types.TextContent(type="text", text=text))
         return types.GetPromptResult(messages=[message])
 
-    async def _run_or_refuse(self, work: Callable[[], Any]) -> Any:
+    async def _run_with_protocol_errors(self, work: Callable[[], Any]) -> Any:
         """Run a function in a thread, and convert a StageError to an error of the protocol with the same text."""
         try:
             return await self._run_in_thread(work)
@@ -158,7 +165,7 @@ class ProtocolServer:
         return self._sessions.get_toolbox(key)
 
 
-async def _check_call_form(ctx: Any, call_next: Any) -> Any:
+async def _answer_malformed_call(ctx: Any, call_next: Any) -> Any:
     """Answer a malformed tool call with a tool error that says what is allowed, instead of an error of the protocol."""
     params = ctx.params or {}
     if ctx.method == "tools/call" and ctx.request_id is not None:

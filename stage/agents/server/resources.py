@@ -75,7 +75,7 @@ def _read_axes(box: Toolbox) -> str:
 
 def _read_recording(box: Toolbox) -> str:
     """Return the last recording as JSON."""
-    return json.dumps(box.recordings.describe_last_recording())
+    return json.dumps(box.recordings.tabulate_last_recording())
 
 
 def describe_chip(kind: type[Chip]) -> str:

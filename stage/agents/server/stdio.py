@@ -19,7 +19,7 @@ from stage.agents.server.mcp_handlers import ProtocolServer
 
 SESSION_KEY = "stdio"
 MAX_QUEUED_LINES = 8
-DISCONNECTED = (BrokenPipeError, ConnectionError, anyio.ClosedResourceError, anyio.BrokenResourceError)
+DISCONNECT_ERRORS = (BrokenPipeError, ConnectionError, anyio.ClosedResourceError, anyio.BrokenResourceError)
 
 
 def serve(factory: ToolboxFactory) -> None:
@@ -28,7 +28,7 @@ def serve(factory: ToolboxFactory) -> None:
     try:
         anyio.run(_serve_client, factory)
     except BaseExceptionGroup as group:
-        if group.split(DISCONNECTED)[1] is not None:
+        if group.split(DISCONNECT_ERRORS)[1] is not None:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nobody reads what is still buffered
 

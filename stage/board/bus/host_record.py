@@ -15,7 +15,7 @@ from stage.chips import core_interface
 from stage.native import array_at, declare_address_call, enter_usual_float_mode, floor, hot, record
 from stage.sim import compiled_stage_access, engine_records
 from stage.sim.compiled_stage_access import (
-    ENGINE,
+    ENGINE_CLAIM_TOKEN,
     INTEGER,
     REAL,
     claim,
@@ -38,7 +38,7 @@ IN32, OUT32, WINDOW, NO_CYCLE, BEYOND_WINDOW = range(13, 18)
 faults: that an instruction (a: its STEP) touches a window (b: where), but is no bus cycle, or goes beyond the window."""
 LEVEL, RAISE = 18, 19
 """The processor's level (a; -1: unchanged), answered with the level before; a software interrupt (a: its number)."""
-UNTIL = 20
+ADVANCE_TO_TIME = 20
 """Emulated processors: advance the board to a time (a: ns of the stage); if `b`, answer whether the interrupt line then is
 asserted."""
 SET_LINES, READ_LINES = 21, 22
@@ -54,7 +54,7 @@ TAKE, PEEK, COUNT = range(3)
 WATCH_LINES = 26
 """Have the line of a chip (a) be asserted from now on while input pins of a mask (b) have other levels than now; answered with all
 levels. A host acknowledges a change by the same request."""
-NANOSECONDS = 27
+READ_NANOSECONDS = 27
 """The time (ns), without a bus cycle: for models of a microcontroller's timers in the firmware's own code."""
 WRONG_LEVEL = 64
 """Added to a refused request whose level is out of range."""
@@ -154,14 +154,14 @@ IRQ = record([(name, "i8") for name in "axis bits watched levels".split()])
 while their levels are others than `levels`, see WATCH_LINES."""
 
 
-INSIDE = int(dict(HOST.fields or {})["inside"][1])
-_call = declare_address_call(None, "i8")
-_access = declare_address_call("i8", "i8", "i8", "i8", "i8", "i8", "i8")
-_pulls = declare_address_call("i8", "i8", "i8", "i8")
+INSIDE_OFFSET = int(dict(HOST.fields or {})["inside"][1])
+_call_function = declare_address_call(None, "i8")
+_call_access = declare_address_call("i8", "i8", "i8", "i8", "i8", "i8", "i8")
+_call_pulls = declare_address_call("i8", "i8", "i8", "i8")
 
 
 @hot
-def get_stage(host):
+def get_stage_handle(host):
     """Return the HANDLE with which a HOST record begins."""
     return array_at(host.own, 1, compiled_stage_access.HANDLE)[0]
 
@@ -169,25 +169,25 @@ def get_stage(host):
 @hot
 def get_chip(host, chip):
     """Return the record of the chip with this number."""
-    return get_chip_table(get_stage(host))[chip]
+    return get_chip_table(get_stage_handle(host))[chip]
 
 
 @hot
 def get_now(host):
     """Return the time of the host in ns since power-up, which may be ahead of the stage's time."""
-    return get_world(get_stage(host)).now + host.ahead
+    return get_world(get_stage_handle(host)).now + host.ahead
 
 
 @hot
 def claim_board(host):
     """Claim the board for a request; return False if another request is being answered."""
-    return claim(host.own + INSIDE, ENGINE)
+    return claim(host.own + INSIDE_OFFSET, ENGINE_CLAIM_TOKEN)
 
 
 @hot
 def release_board(host):
     """Release the board at the end of a request."""
-    release(host.own + INSIDE, ENGINE)
+    release(host.own + INSIDE_OFFSET, ENGINE_CLAIM_TOKEN)
 
 
 @hot
@@ -202,7 +202,7 @@ def call_host_function(host, function, argument):
         argument: Argument of the function.
     """
     release_board(host)
-    _call(function, (argument,))
+    _call_function(function, (argument,))
     enter_usual_float_mode()
     while not claim_board(host):  # another thread is inside, and soon out
         pass
@@ -251,10 +251,10 @@ def append_to_trace(host, kind, port, value, same):
 def append_to_journal(host, kind, chip, address, value):
     """Record a bus cycle that has reached a chip, in order with the edges of the switches, for the chip's journal."""
     if (
-        host.noted >= host.edge_room - get_clockwork(get_stage(host)).most_edges
+        host.noted >= host.edge_room - get_clockwork(get_stage_handle(host)).most_edges
     ):  # the engine needs that much in any step
         call_python(host, FULL)
-    e = array_at(host.edges, host.edge_room, engine_records.EDGE)[host.noted]
+    e = array_at(host.edges, host.edge_room, engine_records.LOGGED_EDGE)[host.noted]
     c = get_chip(host, chip)
     e.now, e.clock, e.axis = get_now(host), core_interface.read_clock(c), core_interface.find_stage_axis(c, 0)
     e.kind, e.a, e.b = kind, address, value
@@ -270,13 +270,13 @@ def get_device(host, index):
 @hot
 def _read_encoders(host, device):
     """Compute the counts of the encoders that a device reads, at the host's time."""
-    s = get_stage(host)
+    s = get_stage_handle(host)
     qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), get_axis_table(s)
     counts, encoders = (
         array_at(device.counts, device.n_encoders, INTEGER),
         array_at(device.encoders, device.n_encoders, ENCODER),
     )
-    tau = float(get_now(host) - get_world(s).start) / engine_records.SECOND - get_clockwork(s).half
+    tau = float(get_now(host) - get_world(s).start) / engine_records.NS_PER_SECOND - get_clockwork(s).half
     for k in range(device.n_encoders):
         e = encoders[k]
         t = axes[e.axis]
@@ -307,7 +307,7 @@ def access_device(host, device, register, kind, value):
     if d.n_encoders:
         _read_encoders(host, d)
     host.answers = device + 1
-    answer = _access(d.access, (d.state, get_now(host), d.counts, register, kind, value))
+    answer = _call_access(d.access, (d.state, get_now(host), d.counts, register, kind, value))
     host.answers = 0
     return answer
 
@@ -323,7 +323,7 @@ def find_interrupting_devices(host):
             if d.n_encoders:
                 _read_encoders(host, d)
             host.answers = k + 1
-            on = _pulls(d.pulls, (d.state, get_now(host), d.counts)) != 0
+            on = _call_pulls(d.pulls, (d.state, get_now(host), d.counts)) != 0
             host.answers = 0
         if on:
             pulling |= 1 << k

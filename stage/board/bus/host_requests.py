@@ -24,7 +24,7 @@ from stage.sim.compiled_stage_access import INTEGER
 
 
 @hot
-def _is_lost(host, chip, address, value):
+def _is_write_lost(host, chip, address, value):
     """Return 1 if a fault of the bus loses this write of the host before it reaches the chip."""
     if host.checked_chips >> chip & 1 == 0:
         return 0
@@ -48,7 +48,7 @@ def _write_chip(host, chip, address, value, trace_kind, trace_port, trace_value)
         trace_port: Port at which the host made the cycle, for the bus trace.
         trace_value: Value that the host wrote, for the bus trace.
     """
-    lost = _is_lost(host, chip, address, value)
+    lost = _is_write_lost(host, chip, address, value)
     host_time.pass_bus_cycle(host)
     if not host.stopped:
         host_time.advance_chip(host, chip)
@@ -223,13 +223,13 @@ def _set_line_hook(host, hook, argument):
     host_time.advance_stage_to_host(host)
     s = interrupt_controller.get_sources(host)[interrupt_controller.ANY_INTERRUPT_LINE]
     s.level, s.hook, s.argument, s.interrupt_mask = 1, hook, argument, -1
-    interrupt_controller.update_pending(host)
+    interrupt_controller.update_source_summary(host)
     host.quiet = 0
     host_time.call_hooks(host)
 
 
 @hot
-def _set_source(host, code, settings):
+def _set_source_hook(host, code, settings):
     """Set the hook of a timer, an interrupt line or a software interrupt.
 
     Args:
@@ -243,15 +243,15 @@ def _set_source(host, code, settings):
             source = interrupt_controller.FIRST_TIMER + number
     elif 0 <= number < host.n_chips + host.n_devices:
         source, interrupt_mask = interrupt_controller.FIRST_INTERRUPT_LINE + number, 1 << number
-    elif 0 <= number - interrupt_controller.SOFTWARE_LINE < interrupt_controller.SOFTWARE:
-        source = interrupt_controller.FIRST_SOFTWARE + number - interrupt_controller.SOFTWARE_LINE
+    elif 0 <= number - interrupt_controller.FIRST_SOFTWARE_LINE < interrupt_controller.SOFTWARE:
+        source = interrupt_controller.FIRST_SOFTWARE_SOURCE + number - interrupt_controller.FIRST_SOFTWARE_LINE
     is_on = settings[3] != 0 and (code != host_record.TIMER or settings[2] != 0)
     if source < 0:
         _report_refusal(host, code, number, settings[2])
-    elif is_on and not 1 <= level <= interrupt_controller.HIGHEST:
+    elif is_on and not 1 <= level <= interrupt_controller.HIGHEST_LEVEL:
         _report_refusal(host, code | host_record.WRONG_LEVEL, number, level)
     else:
-        host_time.set_source(host, source, interrupt_mask, settings, is_on)
+        host_time.set_source_hook(host, source, interrupt_mask, settings, is_on)
 
 
 @hot
@@ -261,7 +261,7 @@ def _set_level(host, level):
     Return the previous level.
     """
     before = host.level
-    if level > interrupt_controller.HIGHEST:
+    if level > interrupt_controller.HIGHEST_LEVEL:
         _report_refusal(host, host_record.LEVEL, level, 0)
     elif level >= 0:
         interrupt_controller.set_level(host, level)
@@ -275,13 +275,13 @@ def _raise_software_interrupt(host, number):
     if not 0 <= number < interrupt_controller.SOFTWARE:
         _report_refusal(host, host_record.RAISE, number, 0)
         return
-    interrupt_controller.get_sources(host)[interrupt_controller.FIRST_SOFTWARE + number].pending = 1
-    interrupt_controller.update_pending(host)
+    interrupt_controller.get_sources(host)[interrupt_controller.FIRST_SOFTWARE_SOURCE + number].pending = 1
+    interrupt_controller.update_source_summary(host)
     host_time.call_hooks(host)
 
 
 @hot
-def _check_stack(host):
+def _report_foreign_stack(host):
     """Call Python if a request comes from another stack than that of the firmware's own thread."""
     position = get_frame_address()
     if position < host.stack_low or position > host.stack_high:
@@ -291,7 +291,7 @@ def _check_stack(host):
 
 
 @hot
-def _access_ports(host, code, port, value):
+def _execute_port_request(host, code, port, value):
     """Make the bus cycles of a read or write request, and return the value that was read."""
     if code == IN8:
         return _read_8_bits(host, port)
@@ -310,12 +310,12 @@ def _access_ports(host, code, port, value):
 
 
 @hot
-def _control_interrupts(host, code, a, b):
+def _execute_interrupt_request(host, code, a, b):
     """Execute a request to the interrupt controller; return the previous level for LEVEL, otherwise 0."""
     if code == host_record.HOOK:
         _set_line_hook(host, a, b)
     elif code in (host_record.TIMER, host_record.ON_LINE):
-        _set_source(host, code, array_at(a, 5, INTEGER))
+        _set_source_hook(host, code, array_at(a, 5, INTEGER))
     elif code == host_record.LEVEL:
         return _set_level(host, a)
     elif code == host_record.RAISE:
@@ -324,7 +324,7 @@ def _control_interrupts(host, code, a, b):
 
 
 @hot
-def _control_time(host, code, a, b):
+def _execute_time_request(host, code, a, b):
     """Execute a request that waits, or that reads the time or the interrupt line; return what it reads, otherwise 0."""
     if code == host_record.DELAY:
         host_time.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US) * 1000)
@@ -333,23 +333,23 @@ def _control_time(host, code, a, b):
     elif code == host_record.MICROS:
         _let_poll_cycle_pass(host)
         return host_record.get_now(host) // 1000
-    elif code == host_record.NANOSECONDS:
+    elif code == host_record.READ_NANOSECONDS:
         return host_record.get_now(host)
     elif code == host_record.LINE:
         _let_poll_cycle_pass(host)
         return 1 if host_time.find_interrupt_mask(host) else 0
-    elif code == host_record.UNTIL:
+    elif code == host_record.ADVANCE_TO_TIME:
         host_time.advance_host(host, a)
         return 1 if b and host_time.find_interrupt_mask(host) else 0
     elif code == host_record.SETTLE:
         host_time.advance_stage_to_host(host)
-        interrupt_controller.update_pending(host)
+        interrupt_controller.update_source_summary(host)
         host.quiet = 0
     return 0
 
 
 @hot
-def _access_lines(host, code, where, argument):
+def _execute_line_request(host, code, where, argument):
     """Set, read or watch the input pins of a chip at the host's time, and return their word.
 
     If the request contains WITH_CYCLE, a bus cycle passes first.
@@ -381,7 +381,7 @@ def _access_lines(host, code, where, argument):
 
 
 @hot
-def _access_serial(host, code, a, number):
+def _execute_serial_request(host, code, a, number):
     """Send a byte over a serial line, read from it, or set its rate.
 
     Args:
@@ -390,10 +390,13 @@ def _access_serial(host, code, a, number):
         a: The byte, how to read, or the rate.
         number: Number of the serial line.
     """
-    if not 0 <= number < serial_core.LINES:
+    if not 0 <= number < serial_core.SERIAL_LINE_COUNT:
         _report_refusal(host, code, number, 0)
         return -1
-    line, now = array_at(host.serial, serial_core.LINES, serial_core.LINE)[number], host_record.get_now(host)
+    line, now = (
+        array_at(host.serial, serial_core.SERIAL_LINE_COUNT, serial_core.SERIAL_LINE)[number],
+        host_record.get_now(host),
+    )
     if code == host_record.SET_SERIAL_RATE:
         serial_core.set_rate(line, now, a)
         return 0
@@ -412,7 +415,7 @@ def _access_serial(host, code, a, number):
 @hot
 def _send_serial(host, line, value):
     """Put a byte of the firmware on a serial line, once the line's other end has made room."""
-    if line.sent - line.read >= serial_core.ROOM:
+    if line.sent - line.read >= serial_core.LINE_BUFFER_SIZE:
         host_time.advance_stage_to_host(host)
         host_record.call_python(host, host_record.PAUSE)
         host.quiet = 0
@@ -421,7 +424,7 @@ def _send_serial(host, line, value):
 
 
 @hot
-def execute(host, code, a, b):
+def execute_request(host, code, a, b):
     """Execute one host request and return its result, or 0.
 
     Args:
@@ -431,7 +434,7 @@ def execute(host, code, a, b):
         b: Second operand.
     """
     if host.stack_checks:
-        _check_stack(host)
+        _report_foreign_stack(host)
     if host.collided:
         host.collided = 0
         host_record.call_python(host, host_record.COLLIDED)
@@ -441,7 +444,7 @@ def execute(host, code, a, b):
     if host.meter:
         host_time.pass_computing_time(host)
     if code <= OUT16 or code in (host_record.IN32, host_record.OUT32):
-        return _access_ports(host, code, a & LAST_PORT, b)
+        return _execute_port_request(host, code, a & LAST_PORT, b)
     if host_record.WINDOW <= code <= host_record.BEYOND_WINDOW:
         host_time.advance_stage_to_host(host)
         host.call_chip, host.call_value, host.call_address = code, a, b
@@ -449,15 +452,15 @@ def execute(host, code, a, b):
         return host.call_value
     if host_record.SET_LINES <= code <= host_record.WATCH_LINES:
         is_serial = host_record.SEND_SERIAL <= code <= host_record.SET_SERIAL_RATE
-        return _access_serial(host, code, a, b) if is_serial else _access_lines(host, code, a, b)
+        return _execute_serial_request(host, code, a, b) if is_serial else _execute_line_request(host, code, a, b)
     if code == host_record.LOG:
         host_time.advance_stage_to_host(host)
         host.call_value = a
         host_record.call_python(host, host_record.LINE_OF_LOG)
         return 0
     if code in (host_record.HOOK, host_record.TIMER, host_record.ON_LINE, host_record.LEVEL, host_record.RAISE):
-        return _control_interrupts(host, code, a, b)
-    return _control_time(host, code, a, b)
+        return _execute_interrupt_request(host, code, a, b)
+    return _execute_time_request(host, code, a, b)
 
 
 @exported("i8", host_record.HOST, "i4", "i8", "i8")
@@ -473,7 +476,7 @@ def request(host, code, a, b):
     if host.serving:
         interrupt_controller.end_abandoned_hooks(host, get_frame_address())
     mode = enter_usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
-    value = execute(host, code & (host_record.FROM_PYTHON - 1), a, b)
+    value = execute_request(host, code & (host_record.FROM_PYTHON - 1), a, b)
     restore_previous_float_mode(mode)
     host_record.release_board(host)
     return value
@@ -486,9 +489,9 @@ def read_interrupt_mask(host):
 
 
 @exported(None, host_record.HOST)
-def update_interrupts(host):
+def apply_source_table(host):
     """Apply a table of interrupt sources that Python has changed."""
-    interrupt_controller.update_pending(host)
+    interrupt_controller.update_source_summary(host)
 
 
 @exported("i8")

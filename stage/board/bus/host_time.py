@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stage.board.bus import host_record, interrupt_controller
-from stage.board.bus.host_record import call_python, get_stage
+from stage.board.bus.host_record import call_python, get_stage_handle
 from stage.board.bus.interrupt_controller import MARK, MARKED
 from stage.chips import core_interface
 from stage.native import array_at, greatest, hot, least, stack_mark
@@ -11,16 +11,16 @@ from stage.sim import engine_records
 from stage.sim.compiled_stage_access import AXIS, INTEGER, get_clockwork, get_world
 from stage.sim.engine import advance
 
-STACK_LEFT = 1 << 20
+MIN_FREE_STACK_BYTES = 1 << 20
 """Bytes of the firmware's stack that nested hooks must leave free."""
 
 
 @hot
 def _run_stage(host, until):
     """Advance the stage to `until` ns, with journals and recordings."""
-    w = get_world(get_stage(host))
+    w = get_world(get_stage_handle(host))
     while w.now < until and not host.stopped:
-        status = advance(get_stage(host), until)
+        status = advance(get_stage_handle(host), until)
         if status == engine_records.DIVERGED:
             call_python(host, host_record.DIVERGED)
         elif status == engine_records.SAMPLES_FULL or status == engine_records.EDGES_FULL:
@@ -36,24 +36,28 @@ def advance_stage_to_host(host):
     """Advance the whole stage to the time of the host."""
     if host.ahead:
         ahead, host.ahead = host.ahead, 0
-        _run_stage(host, get_world(get_stage(host)).now + ahead)
+        _run_stage(host, get_world(get_stage_handle(host)).now + ahead)
 
 
 @hot
-def _find_quiet_time(host):
+def _update_quiet_time(host):
     """Compute the time, ns, up to which only chips change: no switch edge and no end of a drive's slice comes before it."""
-    w, axes, dt = get_world(get_stage(host)), array_at(host.axes, host.n_axes, AXIS), get_clockwork(get_stage(host)).dt
+    w, axes, dt = (
+        get_world(get_stage_handle(host)),
+        array_at(host.axes, host.n_axes, AXIS),
+        get_clockwork(get_stage_handle(host)).dt,
+    )
     host.quiet = least(least(host.until, host.due), w.start + (w.slice + 1) * dt // engine_records.SLICES)
     for a in range(len(axes)):
         host.quiet = least(host.quiet, axes[a].next_edge)
-    if get_clockwork(get_stage(host)).linked:  # one of them alone cannot go ahead of the others
+    if get_clockwork(get_stage_handle(host)).linked:  # one of them alone cannot go ahead of the others
         host.quiet = 0
 
 
 @hot
 def _pass_time(host, ns):
     """Let `ns` of host time pass, and pause the firmware where it reaches the limit of its run."""
-    w, left = get_world(get_stage(host)), ns
+    w, left = get_world(get_stage_handle(host)), ns
     while left > 0 and not host.stopped:
         if w.now >= host.until:
             call_python(host, host_record.PAUSE)
@@ -79,7 +83,7 @@ def _pass_cycle_time(host, ns):
     if host_record.get_now(host) >= host.due:
         interrupt_controller.mark_due_timers(host)
     if lazy:
-        _find_quiet_time(host)
+        _update_quiet_time(host)
 
 
 @hot
@@ -140,7 +144,9 @@ def _call_hook(host, source):
     advance_stage_to_host(host)
     s, level, outer, outer_number = interrupt_controller.get_sources(host)[source], host.level, host.serving, 0
     mark, missed = stack_mark(MARK, MARKED), s.missed
-    place = -1 if 0 < mark - host.stack_low < STACK_LEFT else interrupt_controller.enter_hook(host, source, mark)
+    place = (
+        -1 if 0 < mark - host.stack_low < MIN_FREE_STACK_BYTES else interrupt_controller.enter_hook(host, source, mark)
+    )
     if place < 0:
         host.call_value = -1
         call_python(host, host_record.STORM)
@@ -168,7 +174,7 @@ def _run_until_interrupt(host, interrupt_mask, end):
         interrupt_mask: Bit mask of the interrupt lines. None of them is asserted now, or their hooks were called.
         end: Time, ns.
     """
-    w, dt = get_world(get_stage(host)), get_clockwork(get_stage(host)).dt
+    w, dt = get_world(get_stage_handle(host)), get_clockwork(get_stage_handle(host)).dt
     stop = least(end, w.start + dt)
     inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
     begin, noted = w.now, host.noted
@@ -199,7 +205,7 @@ def wait(host, ns):
     The time that a hook takes is part of the delay.
     """
     advance_stage_to_host(host)
-    w = get_world(get_stage(host))
+    w = get_world(get_stage_handle(host))
     end = w.now + ns
     while w.now < end and not host.stopped:
         stop = least(end, greatest(host.due, w.now + 1))
@@ -227,7 +233,7 @@ def advance_host(host, until):
 @hot
 def wait_for_line(host, ns):
     """Let at most `ns` of host time pass until the interrupt line is asserted. Return 1 if it is asserted, else 0."""
-    asserted, w = find_interrupt_mask(host), get_world(get_stage(host))
+    asserted, w = find_interrupt_mask(host), get_world(get_stage_handle(host))
     end = w.now + ns
     while not asserted and w.now < end and not host.stopped:
         if w.now >= host.until:
@@ -255,7 +261,7 @@ def pass_computing_time(host):
 
 
 @hot
-def set_source(host, source, interrupt_mask, settings, is_on):
+def set_source_hook(host, source, interrupt_mask, settings, is_on):
     """Set or remove the hook of an interrupt source.
 
     Args:
@@ -276,7 +282,7 @@ def set_source(host, source, interrupt_mask, settings, is_on):
     s.period, s.next, s.missed = settings[2] if is_on else 0, host_record.get_now(host) + settings[2], 0
     if settings[2]:
         s.pending = 0
-    interrupt_controller.update_pending(host)
+    interrupt_controller.update_source_summary(host)
     host.quiet = 0
     call_hooks(host)
 

@@ -18,45 +18,45 @@ LINES, TIMERS, PYTHON_TIMERS, SOFTWARE = 62, 8, 4, 8
 ANY_INTERRUPT_LINE, FIRST_INTERRUPT_LINE = 0, 1
 FIRST_TIMER = FIRST_INTERRUPT_LINE + LINES
 FIRST_PYTHON_TIMER = FIRST_TIMER + TIMERS
-FIRST_SOFTWARE = FIRST_PYTHON_TIMER + PYTHON_TIMERS
-SOURCES = FIRST_SOFTWARE + SOFTWARE
-HIGHEST = 15
+FIRST_SOFTWARE_SOURCE = FIRST_PYTHON_TIMER + PYTHON_TIMERS
+SOURCE_COUNT = FIRST_SOFTWARE_SOURCE + SOFTWARE
+HIGHEST_LEVEL = 15
 NEVER = 1 << 62
-SOFTWARE_LINE = 64
+FIRST_SOFTWARE_LINE = 64
 """Number of the first software interrupt among the numbers of lines."""
 
 SOURCE = record([(name, "i8") for name in "level hook argument interrupt_mask period next pending missed".split()])
 """A source: its level (1 to 15), its hook (0: none), the mask of interrupt lines that assert it; of a timer the period (ns, 0: off)
 and when it is next; whether its flag is set, and how often it came again since."""
-HOOKS = 256
-HOOK_CALLED = record([(name, "i8") for name in "number source level outer outer_number mark".split()])
+MAX_HOOK_CALLS = 256
+HOOK_CALL = record([(name, "i8") for name in "number source level outer outer_number mark".split()])
 """A hook that is being called: the number of the call (0: free), its source; the processor's level before; the hook that it has
 interrupted (plus one, and that one's number); where the stack is marked."""
 BACK, JUMPED, LOWERED = range(3)
 """Ways in which a hook ends, as the value of its trace line."""
 MARK, MARKED = 32, 0x5053_4D41_524B
 """Length of a stack mark in words, and its first value."""
-NEAR = 1 << 14
+MAX_FRAME_DISTANCE_BYTES = 1 << 14
 """Maximum distance in bytes of two frames on the same stack."""
 
 
 @hot
 def get_sources(host):
     """Return the SOURCE records of all interrupt sources of the board: lines, timers and software interrupts."""
-    return array_at(host.sources, SOURCES, SOURCE)
+    return array_at(host.sources, SOURCE_COUNT, SOURCE)
 
 
 @hot
-def _get_hooks(host):
-    """Return the HOOK_CALLED records of the board.
+def _get_hook_calls(host):
+    """Return the HOOK_CALL records of the board.
 
     Those in use belong to interrupt hooks that have begun and not ended.
     """
-    return array_at(host.hooks, HOOKS, HOOK_CALLED)
+    return array_at(host.hooks, MAX_HOOK_CALLS, HOOK_CALL)
 
 
 @hot
-def update_pending(host):
+def update_source_summary(host):
     """Compute from the table of sources which interrupt lines, levels and timers the board has to check, and when. Call it after
     each change of the table."""
     host.hooked_interrupt_mask, host.hooked_interrupt_level, host.n_pending, host.top_level, host.due = (
@@ -67,7 +67,7 @@ def update_pending(host):
         NEVER,
     )
     sources = get_sources(host)
-    for k in range(SOURCES):
+    for k in range(SOURCE_COUNT):
         s = sources[k]
         if s.hook:
             if s.interrupt_mask:
@@ -85,14 +85,14 @@ def update_pending(host):
 def mark_due_timers(host):
     """Set the flags of all timer interrupts whose time has come."""
     now, sources = get_now(host), get_sources(host)
-    for k in range(FIRST_TIMER, FIRST_SOFTWARE):
+    for k in range(FIRST_TIMER, FIRST_SOFTWARE_SOURCE):
         s = sources[k]
         if s.period and s.next <= now:
             ticks = (now - s.next) // s.period + 1
             s.next += ticks * s.period
             s.missed += ticks - 1 + s.pending
             s.pending = 1
-    update_pending(host)
+    update_source_summary(host)
 
 
 @hot
@@ -104,7 +104,7 @@ def choose_source(host, asserted):
         asserted: Bit mask of the asserted interrupt lines.
     """
     sources, best, level = get_sources(host), -1, host.level
-    for k in range(SOURCES):
+    for k in range(SOURCE_COUNT):
         s = sources[k]
         if s.hook and s.level > level and (s.pending or s.interrupt_mask & asserted):
             best, level = k, s.level
@@ -113,12 +113,12 @@ def choose_source(host, asserted):
 
 @hot
 def enter_hook(host, source, mark):
-    """Reserve a HOOK_CALLED record for an interrupt hook that is about to be called.
+    """Reserve a HOOK_CALL record for an interrupt hook that is about to be called.
 
     Return its index, or -1 if none is free.
     """
-    hooks, s = _get_hooks(host), get_sources(host)[source]
-    for k in range(HOOKS):
+    hooks, s = _get_hook_calls(host), get_sources(host)[source]
+    for k in range(MAX_HOOK_CALLS):
         c = hooks[k]
         if c.number == 0:
             host.called += 1
@@ -127,7 +127,7 @@ def enter_hook(host, source, mark):
             if host.serving:
                 c.outer_number = hooks[host.serving - 1].number
             host.level, host.serving, s.pending = s.level, k + 1, 0
-            update_pending(host)
+            update_source_summary(host)
             return k
     return -1
 
@@ -138,14 +138,14 @@ def end_hook(host, index, number, level, outer, outer_number, ending):
 
     Args:
         host: The HOST record.
-        index: Index of its HOOK_CALLED record.
+        index: Index of its HOOK_CALL record.
         number: Number of the call; a record with another number is left alone.
         level: Level of the processor from now on.
         outer: Hook that this hook interrupted, plus one; 0 if none.
         outer_number: Number of the call of that hook.
         ending: BACK, JUMPED or LOWERED.
     """
-    hooks = _get_hooks(host)
+    hooks = _get_hook_calls(host)
     if hooks[index].number == number:
         append_to_trace(host, RETURNED, hooks[index].source, ending, -1)
         hooks[index].number = 0
@@ -162,7 +162,7 @@ def end_abandoned_hooks(host, frame):
         frame: Address of the stack frame that makes the request.
     """
     while host.serving:
-        c = _get_hooks(host)[host.serving - 1]
+        c = _get_hook_calls(host)[host.serving - 1]
         if c.mark == 0 or not _is_abandoned(host, c.mark, frame):
             return
         end_hook(host, host.serving - 1, c.number, c.level, c.outer, c.outer_number, JUMPED)
@@ -173,7 +173,7 @@ def _is_abandoned(host, mark, frame):
     """Return whether the stack position of a request shows that the firmware has left the interrupt hook below `mark`."""
     if frame > mark:
         on_firmware_stack = host.stack_low < mark and frame < host.stack_high
-        return on_firmware_stack or frame - mark < NEAR
+        return on_firmware_stack or frame - mark < MAX_FRAME_DISTANCE_BYTES
     words = array_at(mark, MARK, INTEGER)
     broken = 0
     for k in range(MARK):
@@ -184,7 +184,7 @@ def _is_abandoned(host, mark, frame):
 @hot
 def set_level(host, level):
     """Set the interrupt level of the processor, which ends the interrupt hooks of higher levels."""
-    while host.serving and level < get_sources(host)[_get_hooks(host)[host.serving - 1].source].level:
-        c = _get_hooks(host)[host.serving - 1]
+    while host.serving and level < get_sources(host)[_get_hook_calls(host)[host.serving - 1].source].level:
+        c = _get_hook_calls(host)[host.serving - 1]
         end_hook(host, host.serving - 1, c.number, level, c.outer, c.outer_number, LOWERED)
     host.level = level

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus import host_record, host_time
-from stage.board.bus.host_requests import execute
+from stage.board.bus.host_requests import execute_request
 from stage.chips.stepdir.state import DIR, ENABLE, STEP
 from stage.native import array_of, enter_usual_float_mode, exported, hot, record, restore_previous_float_mode
 
@@ -68,7 +68,7 @@ def _read_until(host, entry):
     """Read a port until the value of the batch entry appears; return the last value that was read."""
     code, mask, value = host_record.IN8 if entry.what == UNTIL8 else host_record.IN16, int(entry.mask) & 0xFFFFFFFF, 0
     for k in range(entry.times):
-        value = execute(host, code, entry.a, 0)
+        value = execute_request(host, code, entry.a, 0)
         if host.stopped or (value ^ entry.b) & mask == 0:
             break
         if entry.every and k < entry.times - 1:
@@ -117,7 +117,7 @@ def run_batch(host, entries, answers):
         elif entry.what == UNTIL_LINE:
             answers[done] = _wait_for_line(host, entry.a)
         else:
-            answers[done] = execute(host, entry.what, entry.a, entry.b)
+            answers[done] = execute_request(host, entry.what, entry.a, entry.b)
         if host.stopped:
             break
         done += 1

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from stage.native import hot, least, record
 
-ROOM = 4096
+LINE_BUFFER_SIZE = 4096
 """Bytes that can be on their way in each direction."""
-LINES = 8
+SERIAL_LINE_COUNT = 8
 """Serial lines of a host."""
 NO_BYTE, ANY_BYTE = -1, -2
 SECOND = 1_000_000_000
 BITS_PER_BYTE = 10
 """Bits of a character on the line: a start bit, 8 data bits, a stop bit."""
-LINE = record(
+SERIAL_LINE = record(
     [
         (name, "i8")
         for name in "fed removed sent read lost pausing_byte is_open is_wired byte_ns due sent_byte_ns".split()
     ]
-    + [("incoming", "u1", (ROOM,)), ("outgoing", "u1", (ROOM,))]
+    + [("incoming", "u1", (LINE_BUFFER_SIZE,)), ("outgoing", "u1", (LINE_BUFFER_SIZE,))]
 )
 """fed, removed    bytes from the other end so far, and how many of them the firmware has read
     sent, read      bytes of the firmware so far, and how many of them the other end has taken
@@ -50,7 +50,7 @@ def peek_byte(line, now):
 
     NO_BYTE if there is none.
     """
-    return line.incoming[line.removed % ROOM] if count_arrived(line, now) > 0 else NO_BYTE
+    return line.incoming[line.removed % LINE_BUFFER_SIZE] if count_arrived(line, now) > 0 else NO_BYTE
 
 
 @hot
@@ -58,7 +58,7 @@ def remove_byte(line, now):
     """Remove the next byte that has arrived on a serial line and return it; NO_BYTE if there is none."""
     if count_arrived(line, now) <= 0:
         return NO_BYTE
-    byte = line.incoming[line.removed % ROOM]
+    byte = line.incoming[line.removed % LINE_BUFFER_SIZE]
     line.removed += 1
     line.due += line.byte_ns
     return byte
@@ -74,9 +74,9 @@ def set_rate(line, now, bits_per_second):
 @hot
 def put_byte(line, value):
     """Put a byte of the firmware on a serial line. Return whether the firmware must pause after it."""
-    if line.sent - line.read >= ROOM:
+    if line.sent - line.read >= LINE_BUFFER_SIZE:
         line.lost += 1
         return False
-    line.outgoing[line.sent % ROOM] = value
+    line.outgoing[line.sent % LINE_BUFFER_SIZE] = value
     line.sent += 1
     return line.pausing_byte in (value, ANY_BYTE)

@@ -17,7 +17,7 @@ import numpy as np
 
 from stage.board.bus import host_record
 from stage.errors import ArgumentError, StageError
-from stage.native import without_attributes
+from stage.native import remove_attribute_access
 from stage.sim import engine_records
 from stage.sim.encoder import Encoder
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 TIME_LIMIT_S = 9e9
 """Upper limit of all times of a stage, s."""
-Listener = Callable[[int, int, bool, bool], str]
+DeviceDescriber = Callable[[int, int, bool, bool], str]
 """Function (port of the device, value, whether it is a write, whether it has 16 bits) that describes a bus cycle in words."""
 
 
@@ -98,7 +98,7 @@ class Device:
     def counts(self) -> list[int]:
         """Current count of each encoder that this device reads."""
         stage = self.stage
-        tau = float(stage.now - stage.state.start) / engine_records.SECOND - float(stage.state.clockwork[0].half)
+        tau = float(stage.now - stage.state.start) / engine_records.NS_PER_SECOND - float(stage.state.clockwork[0].half)
         counts = []
         for axis, scale, zero in self._encoders.tolist():
             t = stage.state.axis_table[axis]
@@ -125,7 +125,7 @@ class Device:
         """
         raise NotImplementedError
 
-    def make_describer(self) -> Listener:
+    def make_describer(self) -> DeviceDescriber:
         """Return a function that explains bus cycles of this device. It has to receive all of them in order."""
         return lambda n, value, writes, wide: f"port {n} {'<-' if writes else '='} {value:0{4 if wide else 2}X}h"
 
@@ -215,7 +215,7 @@ class CompiledDevice(Device):
         super().__init__(**base)
         core: ModuleType = self.CORE
         self.state = [np.zeros(1, core.STATE)]
-        self.registers = self.state[0].view(without_attributes(core.STATE))[0]
+        self.registers = self.state[0].view(remove_attribute_access(core.STATE))[0]
         self.access, self.pulls = core.access.address, core.pulls.address if hasattr(core, "pulls") else 0
 
     def make_recipe(self) -> tuple[Any, ...]:

@@ -11,14 +11,14 @@ from stage.board import firmware_library
 from stage.board.devices.device import Device, Encoder
 from stage.board.devices.hctl2016 import HCTL2000, HCTL2016, HCTL2020
 from stage.board.devices.ls7166 import LS7166
-from stage.board.devices.output_latch import Latch
+from stage.board.devices.output_latch import OutputLatch
 from stage.board.devices.uart import UART
 from stage.board.devices.user_devices import CDevice
 from stage.errors import ArgumentError, add_article, find_similar_names
 
 COUNTS_PER_TURN = 2000
 COUNTERS: dict[str, type] = {d.KIND: d for d in (HCTL2000, HCTL2016, HCTL2020, LS7166)}
-OTHERS: dict[str, type] = {d.KIND: d for d in (Latch, UART)}
+OTHERS: dict[str, type] = {d.KIND: d for d in (OutputLatch, UART)}
 KNOWN = (*COUNTERS, *OTHERS)
 FORM = f"KIND:PORT[:AXIS[:COUNTS]], of the kinds {', '.join(COUNTERS)} (with AXIS), {', '.join(OTHERS)}; or SOURCE.c:PORT[+PORTS]"
 

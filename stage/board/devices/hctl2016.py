@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from stage.board.devices import hctl2016_core
-from stage.board.devices.device import CompiledDevice, Encoder, Listener
+from stage.board.devices.device import CompiledDevice, DeviceDescriber, Encoder
 
 
 class HCTL2016(CompiledDevice):
@@ -36,7 +36,7 @@ class HCTL2016(CompiledDevice):
         """Return the name of the counter's byte that a port reaches."""
         return ("high byte", "low byte")[register]
 
-    def make_describer(self) -> Listener:
+    def make_describer(self) -> DeviceDescriber:
         """Return a function that explains bus cycles of this counter."""
         return lambda n, value, writes, wide: "reset" if writes else f"{self.name_port(n)} = {value:02X}h"
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from stage.board.devices import ls7166_core
-from stage.board.devices.device import CompiledDevice, Encoder, Listener
+from stage.board.devices.device import CompiledDevice, DeviceDescriber, Encoder
 
 _REGISTERS = ("MCR", "ICR", "OCCR", "QR")
 _MASTER = ("pointer = 0", "latch the counter", "counter = 0", "counter = PR", "COMPT = 0", "master reset")
@@ -36,13 +36,13 @@ class LS7166(CompiledDevice):
 
     def __init__(self, encoder: Encoder, name: str | None = None):
         super().__init__(name=name, encoders=(encoder,))
-        self.registers["pr"] = ls7166_core.FULL - 1
+        self.registers["pr"] = ls7166_core.COUNT_MODULUS - 1
 
     def name_port(self, register: int) -> str:
         """Return the name of a port in traces."""
         return ("data", "control")[register]
 
-    def make_describer(self) -> Listener:
+    def make_describer(self) -> DeviceDescriber:
         """Return a function that explains bus cycles of this counter, with the command of each control byte."""
 
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:

@@ -12,12 +12,12 @@ STATE = record(
 """Counter; the count of the encoder at the last update; preset register, output latch and the pointer to a
 byte of both; the control registers; the toggles BWT, CYT, COMPT; the status bits SIGN and UP/DOWN."""
 COUNT = np.dtype("i8")
-FULL = 1 << 24
+COUNT_MODULUS = 1 << 24
 ENABLE, DIVIDE = 8, 4
 
 
 @hot
-def _count_units(state, counts):
+def _compute_mode_count(state, counts):
     """Return the count of the quadrature inputs in the mode of QR, which counts one, two or all four edges of an encoder line."""
     return array_at(counts, 1, COUNT)[0] >> 3 - state.qr if state.qr else 0
 
@@ -28,21 +28,21 @@ def _update_counter(state, counts):
 
     Between two bus cycles only the net count matters.
     """
-    units = _count_units(state, counts)
+    units = _compute_mode_count(state, counts)
     steps, state.last = units - state.last, units
     if steps == 0 or state.qr == 0 or state.icr & ENABLE == 0:
         return
     state.up = 1 if steps > 0 else 0
     old = state.cntr
     new = old + steps
-    state.compares ^= ((new - state.pr) // FULL - (old - state.pr) // FULL) & 1
-    state.cntr = new & FULL - 1
-    period, times = FULL, 0
-    if new >= FULL:
+    state.compares ^= ((new - state.pr) // COUNT_MODULUS - (old - state.pr) // COUNT_MODULUS) & 1
+    state.cntr = new & COUNT_MODULUS - 1
+    period, times = COUNT_MODULUS, 0
+    if new >= COUNT_MODULUS:
         if state.occr & DIVIDE:
-            period = FULL - state.pr
-            state.cntr = state.pr + (new - FULL) % period
-        times = 1 + (new - FULL) // period
+            period = COUNT_MODULUS - state.pr
+            state.cntr = state.pr + (new - COUNT_MODULUS) % period
+        times = 1 + (new - COUNT_MODULUS) // period
         state.carries, state.sign = state.carries ^ times & 1, 0
     elif new < 0:
         if state.occr & DIVIDE:
@@ -59,7 +59,7 @@ def _write_mcr(state, value):
         state.cntr = state.icr = state.occr = state.qr = state.ol = state.pointer = state.borrows = state.carries = (
             state.compares
         ) = state.sign = 0
-        state.pr = FULL - 1
+        state.pr = COUNT_MODULUS - 1
         return
     if value & 0x01:
         state.pointer = 0
@@ -82,14 +82,14 @@ def _write_control(state, counts, value):
     elif register == 1:
         state.icr = value
         if value & 2:
-            state.cntr = state.cntr + 1 & FULL - 1
+            state.cntr = state.cntr + 1 & COUNT_MODULUS - 1
         if value & 4:
-            state.cntr = state.cntr - 1 & FULL - 1
+            state.cntr = state.cntr - 1 & COUNT_MODULUS - 1
     elif register == 2:
         state.occr = value
     else:
         state.qr = value & 3
-    state.last = _count_units(state, counts)
+    state.last = _compute_mode_count(state, counts)
 
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 from stage.board.bus.host_record import OUT8
 from stage.board.devices import output_latch_core
-from stage.board.devices.device import CompiledDevice, Listener
+from stage.board.devices.device import CompiledDevice, DeviceDescriber
 
 
-class Latch(CompiledDevice):
+class OutputLatch(CompiledDevice):
     """8-bit output port that reads back its value; 0 at power-up.
 
     Args:
@@ -47,6 +47,6 @@ class Latch(CompiledDevice):
         """Return the name of port `register`. A latch has one port, so `register` is 0."""
         return "outputs"
 
-    def make_describer(self) -> Listener:
+    def make_describer(self) -> DeviceDescriber:
         """Return a function that explains bus cycles of this latch."""
         return lambda n, value, writes, wide: f"outputs {'<-' if writes else '='} {value:08b}"

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import ClassVar
 
 from stage.board.devices import uart_core
-from stage.board.devices.device import CompiledDevice, Listener
+from stage.board.devices.device import CompiledDevice, DeviceDescriber
 from stage.errors import ArgumentError, StageError
 
 CLOCK_HZ = 1_843_200
@@ -62,7 +62,7 @@ class UART(CompiledDevice):
         if not isinstance(data, str | bytes | bytearray | memoryview):
             raise ArgumentError(f"{self.name}: feed({data!r}): bytes or text are wanted, for example b'ok\\r\\n'.")
         content, s = data.encode() if isinstance(data, str) else bytes(data), self.registers
-        waiting = uart_core.ROOM - self.free
+        waiting = uart_core.ROOM - self.free_bytes
         if waiting + len(content) > uart_core.ROOM:
             raise ArgumentError(
                 f"{self.name}: {waiting:,} bytes are still to arrive, and {len(content):,} more are too many: "
@@ -91,7 +91,7 @@ class UART(CompiledDevice):
         return self._get_written_bytes(max(begin, end - uart_core.ROOM), end)
 
     @property
-    def free(self) -> int:
+    def free_bytes(self) -> int:
         """Number of bytes that `feed` accepts now."""
         self.CORE.access(self.state[0], self.stage.now, 0, 7, 0, 0)  # what has arrived by now has
         return uart_core.ROOM - int(self.registers["fed"] - self.registers["taken"])
@@ -102,7 +102,7 @@ class UART(CompiledDevice):
         divisor = int(self.registers["divisor"])
         return self.clock / 16 / divisor if divisor else 0.0
 
-    def pty(self) -> str:
+    def open_pty(self) -> str:
         """Connect the UART to a pseudo-terminal, for `screen PATH`, `cu -l PATH` or another terminal program.
 
         Bytes arrive in bus cycles of the UART, whenever the other side sends them. Runs are therefore not
@@ -144,7 +144,7 @@ class UART(CompiledDevice):
         """Return the name of a register, or both names if reads and writes reach different registers."""
         return _READ[register] if _READ[register] == _WRITTEN[register] else f"{_READ[register]}, {_WRITTEN[register]}"
 
-    def make_describer(self) -> Listener:
+    def make_describer(self) -> DeviceDescriber:
         """Return a function that explains bus cycles of this UART; bit 7 of LCR selects the divisor registers."""
         lcr = 0
 
@@ -169,7 +169,7 @@ class UART(CompiledDevice):
     def _get_written_bytes(self, begin: int, end: int) -> bytes:
         """Return the bytes that the firmware has written, from number `begin` to number `end`."""
         sent = self.registers["sent"]
-        return bytes(int(sent[k % uart_core.SENT_ROOM]) for k in range(begin, end))
+        return bytes(int(sent[k % uart_core.SENT_BUFFER_SIZE]) for k in range(begin, end))
 
     @property
     def _character_ns(self) -> int:

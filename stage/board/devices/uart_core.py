@@ -9,7 +9,7 @@ from __future__ import annotations
 from stage.native import exported, hot, least, record
 
 FIFO, ROOM = 16, 4096
-SENT_ROOM = (
+SENT_BUFFER_SIZE = (
     ROOM + 2 * FIFO
 )  # of what was sent: FIFO + 1 bytes in the transmitter may be written, cleared and written over
 NEVER = 1 << 62
@@ -19,7 +19,7 @@ STATE = record(
         (name, "i8")
         for name in "clock ier fcr lcr mcr scr divisor oe rbr fed taken due waiting first last written left armed".split()
     ]
-    + [("fifo", "u1", (FIFO,)), ("incoming", "u1", (ROOM,)), ("sent", "u1", (SENT_ROOM,))]
+    + [("fifo", "u1", (FIFO,)), ("incoming", "u1", (ROOM,)), ("sent", "u1", (SENT_BUFFER_SIZE,))]
 )
 """clock (Hz); registers; overrun; the byte read last. fed, taken: bytes of the peer, and how many of them have arrived, the next of
 them at `due` (ns); waiting in `fifo` from `first` on; `last`: time of the last arrival or read. written: bytes by the firmware, of
@@ -103,7 +103,7 @@ def _put_into_transmitter(state, now, value):
         return
     if unsent >= room:  # no room: lost; without a FIFO the last byte is
         if room == 2:
-            state.sent[(state.written - 1) % SENT_ROOM] = value
+            state.sent[(state.written - 1) % SENT_BUFFER_SIZE] = value
         return
     state.armed = 1
     state.left = (state.left if unsent else now) + compute_character_ns(state)
@@ -114,7 +114,7 @@ def _put_into_transmitter(state, now, value):
             state.incoming[state.fed % ROOM] = value
             state.fed += 1
     else:
-        state.sent[state.written % SENT_ROOM] = value
+        state.sent[state.written % SENT_BUFFER_SIZE] = value
         state.written += 1
 
 

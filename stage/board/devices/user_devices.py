@@ -13,7 +13,7 @@ import numpy as np
 
 from stage.board import firmware_library
 from stage.board.bus.host_record import IN8, OUT8, OUT16
-from stage.board.devices.device import Device, Encoder, Listener
+from stage.board.devices.device import Device, DeviceDescriber, Encoder
 from stage.board.errors import LibraryError
 from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError
@@ -21,7 +21,7 @@ from stage.support.argument_checks import explain_arguments
 from stage.support.files import FileError, refuse_irregular
 
 ABI = 1
-DescribeCycle = Callable[[int, int, bool], str]
+UserDescriber = Callable[[int, int, bool], str]
 """Function (port, value, whether the cycle is a write) that returns the meaning of a bus cycle in words."""
 MAX_STATE_BYTES = 1 << 20
 
@@ -29,9 +29,9 @@ MAX_STATE_BYTES = 1 << 20
 class UserDevice(Device):
     """Device whose bus cycles a function of the user explains."""
 
-    describe: DescribeCycle | None
+    describe: UserDescriber | None
 
-    def make_describer(self) -> Listener:
+    def make_describer(self) -> DeviceDescriber:
         """Return the user's function that explains bus cycles, or the default one."""
         if self.describe is None:
             return super().make_describer()
@@ -47,7 +47,7 @@ class PythonDevice(UserDevice):
         write: Callable[[int, int], Any] | None = None,
         *,
         state: np.ndarray | bytearray | None = None,
-        describe: DescribeCycle | None = None,
+        describe: UserDescriber | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,
@@ -96,7 +96,7 @@ class CDevice(UserDevice):
         source: str | os.PathLike | Sequence[str | os.PathLike],
         *,
         flags: Sequence[str] = (),
-        describe: DescribeCycle | None = None,
+        describe: UserDescriber | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,

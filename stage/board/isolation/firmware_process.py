@@ -23,16 +23,16 @@ from stage.board.board import Board
 from stage.board.bus import host_record, host_requests
 from stage.board.bus.interrupt_controller import ANY_INTERRUPT_LINE
 from stage.board.errors import HostError
-from stage.board.host_record_link import NOTED, Link
+from stage.board.host_record_link import NOTE_BUFFER_ROWS, Link
 from stage.board.isolation.shared_memory import (
     LOADING,
     CorruptedError,
-    NoteCounts,
     ParentCallRequest,
     PausedMessage,
     RunOrder,
     SharedMemory,
     StartMessage,
+    UnreadCounts,
 )
 from stage.board.thread_runner import LoadedProgram, ThreadRunner
 from stage.errors import StageError
@@ -44,7 +44,9 @@ if crash_report.IS_SUPPORTED:
 
 THREAD_START_S = 0.02  # of real time, for a thread of the firmware to begin
 HIGH_DESCRIPTOR = 200  # firmware mostly closes or writes lower ones by mistake
-CLOSED = "it closed a file descriptor that it had not opened: that was the connection of its process with the stage"
+CLOSED_PIPE_MESSAGE = (
+    "it closed a file descriptor that it had not opened: that was the connection of its process with the stage"
+)
 POLL_INTERVAL_MS = (
     500  # hanging up is noticed at once, unless a process that the parent has forked holds the pipe as well
 )
@@ -104,13 +106,13 @@ class ChildLink(Link):
         """Flush samples and edges if their memory is nearly full."""
         h = self.record
         self.samples.filled = int(h["filled"])
-        if h["noted"] > NOTED // 2 or self.samples.filled == len(self.samples.samples):
+        if h["noted"] > NOTE_BUFFER_ROWS // 2 or self.samples.filled == len(self.samples.samples):
             self.flush()
 
-    def publish_state(self) -> NoteCounts:
+    def publish_state(self) -> UnreadCounts:
         """Write the state to shared memory; return the numbers of edges and samples there, and start counting them anew."""
         h = self.record
-        noted = NoteCounts(int(h["noted"]), int(h["filled"]))
+        noted = UnreadCounts(int(h["noted"]), int(h["filled"]))
         self.stage.copy_state(self.shared.state)
         h["faults"] = self.windows.faults if self.windows is not None else 0
         h["noted"] = h["filled"] = self.samples.filled = 0
@@ -347,7 +349,7 @@ def main(fileno: int) -> None:
         _remove_files(start_messages)
         raise
     except OSError:
-        board.link.shared.note_crash(crash_report.encode_crash_note(CLOSED))
+        board.link.shared.note_crash(crash_report.encode_crash_note(CLOSED_PIPE_MESSAGE))
         os._exit(1)
     except Exception:
         with suppress(CorruptedError):

@@ -32,16 +32,16 @@ from stage.board.isolation import process_starter
 from stage.board.isolation.shared_memory import (
     LOADING,
     CorruptedError,
-    NoteCounts,
     ParentCallRequest,
     PausedMessage,
     RunOrder,
     SharedMemory,
     StartMessage,
+    UnreadCounts,
 )
 from stage.board.pin_assignment import WiringFinding
 from stage.board.temporary_folders import TemporaryFolder
-from stage.board.thread_runner import Program, is_debugged, read_status
+from stage.board.thread_runner import Program, is_debugged, read_process_status
 from stage.chips.journal_entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import engine
@@ -61,7 +61,7 @@ class InvalidMessageError(Exception):
     """Error for bytes in the pipe that form no message."""
 
 
-class _Messages:
+class _MessageReader:
     """Reader of messages from the firmware's process. It returns complete messages or raises an error, and never blocks
     forever.
 
@@ -175,13 +175,13 @@ class ProcessRunner:
         try:
             message = self._run_child(order)
         except (EOFError, OSError):
-            raise self._explain_crash(self._explain_end()) from None
+            raise self._make_crash_error(self._explain_end()) from None
         except (InvalidMessageError, _StalledError) as error:
             self._end_child()
-            raise self._explain_crash(self._explain_giving_up(error)) from None
+            raise self._make_crash_error(self._explain_giving_up(error)) from None
         except CorruptedError:
             self._end_child()
-            raise self._explain_overwritten_memory("was ended") from None
+            raise self._make_overwrite_error("was ended") from None
         except BaseException:
             self._end_child()
             raise
@@ -246,18 +246,18 @@ class ProcessRunner:
             board.link.use_serial_rows(self._shared.serial)
             with theirs:
                 self._child = process_starter.start(theirs.fileno(), " ".join(list_sanitizers(self._path)))
-            self._pipe, self._messages = ours, _Messages(ours)
+            self._pipe, self._messages = ours, _MessageReader(ours)
             weakref.finalize(self, self._child.release)
             ours.send(StartMessage(self._program, str(shared), content, self._patience))
-            self._machine, self._faults = self._read_machine(), _read_faults(board.stage)
+            self._machine, self._faults = self._pickle_machine_settings(), _read_faults(board.stage)
             answer = self._receive(START_LIMIT_S)
             if answer == LOADING:
                 answer = self._receive(LOAD_LIMIT_S)
         except (EOFError, ConnectionError):
-            raise self._explain_load(self._explain_end()) from None
+            raise self._make_load_error(self._explain_end()) from None
         except (InvalidMessageError, _StalledError) as error:
             self._end_child()
-            raise self._explain_load(self._explain_giving_up(error)) from None
+            raise self._make_load_error(self._explain_giving_up(error)) from None
         except BaseException:
             self._end_child()
             raise
@@ -271,10 +271,10 @@ class ProcessRunner:
     def _pickle_if_changed(self) -> bytes | None:
         """Return the pickled stage if its settings differ from the child's, otherwise None."""
         stage, before = self._board.stage, self._machine
-        self._machine, self._faults = self._read_machine(), _read_faults(stage)
+        self._machine, self._faults = self._pickle_machine_settings(), _read_faults(stage)
         return _pickle_stage(stage) if self._machine != before else None
 
-    def _read_machine(self) -> bytes:
+    def _pickle_machine_settings(self) -> bytes:
         """Return all settings, apart from the state, in which the child's stage must equal this one."""
         parts = self._board.stage.describe_machine()
         model = parts.pop("model")
@@ -283,10 +283,10 @@ class ProcessRunner:
 
     # --- what comes over ---
 
-    def _take_records(self, noted: NoteCounts) -> None:
+    def _take_records(self, noted: UnreadCounts) -> None:
         """Take over the child's state, and the edges and samples that it has recorded since the last call."""
         board, shared, stage = self._board, self._shared, self._board.stage
-        shared.check_notes(board, noted.edges, noted.samples, self._until)
+        shared.check_records(board, noted.edges, noted.samples, self._until)
         stage.load_state(shared.state)
         shared.copy_board_state(board, back=True)
         stage.state.edges[: noted.edges] = shared.edges[: noted.edges]
@@ -361,21 +361,21 @@ class ProcessRunner:
             )
         return f"has not got on for {self._waited:g} s of real time{why}, and was ended"
 
-    def _explain_load(self, how: str) -> HostError:
+    def _make_load_error(self, how: str) -> HostError:
         """Return the error for a child process that ended while it loaded the firmware."""
         what = self._describe_crash()
         return HostError(f"{self._path.name} {how} while it was loaded, before PULSESTAGE_MAIN was called{what}.")
 
-    def _explain_crash(self, how: str) -> HostError:
+    def _make_crash_error(self, how: str) -> HostError:
         """Repeat the last cycles of the child process, so that the stage stands where it ended.
 
         Return the error about its end.
         """
         board, theirs = self._board, self._shared.record[0]
         try:
-            self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
+            self._shared.check_records(board, int(theirs["noted"]), 0, self._until, ended=True)
         except CorruptedError:
-            return self._explain_overwritten_memory(f"{how}{self._describe_crash()}")
+            return self._make_overwrite_error(f"{how}{self._describe_crash()}")
         edges = self._shared.edges[: int(theirs["noted"])]
         self._repeat_cycles(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
@@ -394,7 +394,7 @@ class ProcessRunner:
         devices = (d.loaded for d in self._board.devices if isinstance(d, CDevice))
         return crash_report.describe_crash(self._shared.crash, self._path, *devices)
 
-    def _explain_overwritten_memory(self, how: str) -> HostError:
+    def _make_overwrite_error(self, how: str) -> HostError:
         """Return the error for firmware that has overwritten the memory which it shares with this process."""
         board = self._board
         return HostError(
@@ -467,7 +467,7 @@ def _pickle_stage(stage: Any) -> bytes:
 
 def _handles_timers(process: int) -> bool:
     """Return whether a process handles one of the signals of setitimer, alarm or timer_create."""
-    caught = int(read_status(process).get("SigCgt", "0"), 16)
+    caught = int(read_process_status(process).get("SigCgt", "0"), 16)
     return any(caught >> number - 1 & 1 for number in (signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF))
 
 

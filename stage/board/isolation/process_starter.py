@@ -34,7 +34,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from stage.board.thread_runner import read_status
+from stage.board.thread_runner import read_process_status
 from stage.native import COMPILED
 
 _HEAD = struct.Struct("q")
@@ -45,7 +45,7 @@ _FILES = 4  # that go with a start: pipe, status, standard output, standard erro
 _lock = threading.Lock()
 _pending_kills: deque[tuple[ProcessStarter, int]] = deque()
 _starters: dict[tuple[int, str], ProcessStarter] = {}  # by process (a fork has its own), and what is loaded first
-SANITIZED = {
+SANITIZER_ENVIRONMENT = {
     "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",  # at its end the process does not tidy up, so all would be a leak
     "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1:abort_on_error=1",
     "TSAN_OPTIONS": "halt_on_error=1:abort_on_error=1",
@@ -136,7 +136,7 @@ class ProcessStarter:
             "OPENBLAS_NUM_THREADS": "1",  # a process that forks has one thread
         }
         if preload:
-            environment = SANITIZED | environment | {"LD_PRELOAD": preload}
+            environment = SANITIZER_ENVIRONMENT | environment | {"LD_PRELOAD": preload}
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "stage.board.isolation.process_starter", str(theirs.fileno())], pass_fds=[theirs.fileno()],
@@ -157,7 +157,9 @@ class ProcessStarter:
         if self._process.poll() is None:
             parent = str(self._process.pid)
             for pid in tuple(self.children):
-                if read_status(pid).get("PPid", parent) == parent:  # else it has ended, and the number is another's
+                if (
+                    read_process_status(pid).get("PPid", parent) == parent
+                ):  # else it has ended, and the number is another's
                     _kill_child(pid)
             self._process.kill()
             self._process.wait()
@@ -271,7 +273,7 @@ def _end_suspended_starters() -> None:
 
 def _is_suspended(pid: int) -> bool:
     """Return whether a signal or a tracer has suspended a process; False if the system does not tell."""
-    return read_status(pid).get("State", "")[:1] in ("T", "t")
+    return read_process_status(pid).get("State", "")[:1] in ("T", "t")
 
 
 def _find_working_folder() -> str:
@@ -342,7 +344,7 @@ def _report_children(children: dict[int, socket.socket]) -> None:
             return
         stopped = os.WIFSTOPPED(status)
         if pid not in children:  # a thread of firmware that has called ptrace(PTRACE_TRACEME)
-            pid = int(read_status(pid).get("Tgid", 0)) if stopped else 0
+            pid = int(read_process_status(pid).get("Tgid", 0)) if stopped else 0
         if pid not in children:
             continue
         _kill_child(pid, ended=not stopped)  # and what the firmware has started

@@ -17,15 +17,15 @@ import numpy as np
 
 from stage.board.board import Board
 from stage.board.bus import host_record, serial_core
-from stage.board.bus.interrupt_controller import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
-from stage.board.host_record_link import NOTED
+from stage.board.bus.interrupt_controller import BACK, HIGHEST_LEVEL, LOWERED, SOURCE, SOURCE_COUNT
+from stage.board.host_record_link import NOTE_BUFFER_ROWS
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.pin_assignment import WiringFinding
 from stage.board.thread_runner import Program
 from stage.chips.journal_entries import LOST, READ, WRITE
 from stage.errors import StageError
-from stage.native import without_attributes
-from stage.sim.engine_records import EDGE, SAMPLE, SECOND
+from stage.native import remove_attribute_access
+from stage.sim.engine_records import LOGGED_EDGE, NS_PER_SECOND, SAMPLE
 
 SAMPLE_ROWS = 512
 TEXT_SIZE = 1 << 16  # bytes of lines
@@ -35,7 +35,7 @@ TIMER_ROWS = slice(PYTHONS_TIMERS.start, PYTHONS_TIMERS.stop)
 _ALIGNMENT = 64
 _LINE = struct.Struct("qq")  # time, length
 _GUARD_SIZE = 64  # random bytes behind each array
-_FIXED = (
+_CONSTANT_FIELDS = (
     "mj_model mj_data world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies "
     "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies bus own edges edge_room regions n_regions ports n_ports "
     "trace_cycles trace_capacity call irqs acts before userdata words journals devices n_devices serial"
@@ -96,7 +96,7 @@ class RunOrder(NamedTuple):
     lines: int
 
 
-class NoteCounts(NamedTuple):
+class UnreadCounts(NamedTuple):
     """Numbers of EDGE records and samples in the shared file that the parent has not read."""
 
     edges: int
@@ -116,7 +116,7 @@ class ParentCallRequest(NamedTuple):
         kind: Kind of the bus cycle as in `Device.access_register`; -1 for a chip.
     """
 
-    noted: NoteCounts
+    noted: UnreadCounts
     chip: int
     address: int
     value: int
@@ -134,7 +134,7 @@ class PausedMessage(NamedTuple):
         wiring_findings: Sentences about lines of axes that seem to be at the wrong pins.
     """
 
-    noted: NoteCounts
+    noted: UnreadCounts
     ports: np.ndarray
     code: int | None
     error: tuple[str, str] | None
@@ -195,11 +195,12 @@ class SharedMemory:
         state = board.stage.state
         axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.device_state.words
         sizes: list[tuple[Any, tuple[int, ...]]] = [
-            (host_record.HOST, (1,)), (EDGE, (NOTED,)), (host_record.CYCLE, (board.trace.capacity,)), (np.float64, (words,)),
-            (SAMPLE, (SAMPLE_ROWS, axes)), (np.float64, (SAMPLE_ROWS, nq)), (without_attributes(SOURCE), (SOURCES,)),
+            (host_record.HOST, (1,)), (LOGGED_EDGE, (NOTE_BUFFER_ROWS,)), (host_record.CYCLE, (board.trace.capacity,)),
+            (np.float64, (words,)),
+            (SAMPLE, (SAMPLE_ROWS, axes)), (np.float64, (SAMPLE_ROWS, nq)), (remove_attribute_access(SOURCE), (SOURCE_COUNT,)),
             (np.int64, (1,)),
             (np.uint8, (TEXT_SIZE,)), (np.uint8, (CRASH_SIZE,)), (np.float64, (board.stage.device_state.words,)),
-            (serial_core.LINE, (serial_core.LINES,)),
+            (serial_core.SERIAL_LINE, (serial_core.SERIAL_LINE_COUNT,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNMENT) * _ALIGNMENT + _GUARD_SIZE for n in lengths)]).tolist()
@@ -233,15 +234,15 @@ class SharedMemory:
 
     def remember_constant_fields(self) -> None:
         """Store the constant fields of the child's HOST record, for `check`."""
-        self._fixed = self.record[_FIXED].item()
+        self._fixed = self.record[_CONSTANT_FIELDS].item()
 
     def check(self) -> None:
         """Raise CorruptedError if the firmware has changed the guard words or constant fields of the shared memory."""
         guarded = b"".join(map(bytes, self._guards))
-        if guarded != self._guarded or self._fixed not in (None, self.record[_FIXED].item()):
+        if guarded != self._guarded or self._fixed not in (None, self.record[_CONSTANT_FIELDS].item()):
             raise CorruptedError
 
-    def check_notes(self, board: Board, edges: int, samples: int, until: int, ended: bool = False) -> None:
+    def check_records(self, board: Board, edges: int, samples: int, until: int, ended: bool = False) -> None:
         """Validate the edges and samples that the parent is about to read.
 
         Args:
@@ -256,14 +257,14 @@ class SharedMemory:
         """
         self.check()
         h, ours, timers = self.record[0], board.link.record, self.sources[TIMER_ROWS]
-        latest = until + SECOND
+        latest = until + NS_PER_SECOND
         valid = (
             0 <= edges <= len(self.edges)
             and 0 <= samples <= len(self.samples)
             and h["cycles"] >= ours["cycles"]
             and ours["traced"] <= h["traced"]
             and 0 <= h["changed"] <= h["traced"]
-            and _is_within(timers, period=(0, 1 << 62), level=(0, HIGHEST))
+            and _is_within(timers, period=(0, 1 << 62), level=(0, HIGHEST_LEVEL))
             and _is_within(self.edges[:edges], axis=(0, len(board.stage.axes) - 1), now=(0, latest))
         )
         if not valid or (ended and not self._is_end_valid(int(ours["traced"]), edges, latest)):

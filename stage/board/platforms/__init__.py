@@ -23,9 +23,9 @@ from stage.board.platforms.arduino_sketch_to_cpp import SKETCHES, list_sketch_fi
 from stage.errors import ArgumentError, unknown_name_error
 
 FOLDER = Path(__file__).parent
-WRAPPER = ".pulsestage.cpp"
+WRAPPER_SUFFIX = ".pulsestage.cpp"
 """Ending of files that are made to compile C as C++."""
-IS_CPLUSPLUS = "is C++ here"
+CPLUSPLUS_HEADER_MESSAGE = "is C++ here"
 """Error message of a header that has to be compiled as C++."""
 REGISTERS_IN_C = "PULSESTAGE_REGISTERS_IN_C"
 """Macro with which headers of registers can be included in C: the compiler reports each access to memory."""
@@ -186,7 +186,7 @@ def make_recipe(
         ArgumentError: The function is missing that the program begins with.
     """
     if platform is None:
-        return _split_languages(sources)
+        return _make_recipe_by_language(sources)
     texts = {source: source.read_text(**ENCODING) for source in sources}
     sketches = [source for source in sources if source.suffix in SKETCHES]
     files = [source for source in sources if source.suffix not in SKETCHES]
@@ -199,7 +199,7 @@ def make_recipe(
     if sketches:
         sketch = folder / f"{sketches[0].stem}.ino.cpp"
         translated = translate_sketch({source: texts[source] for source in sketches})
-        sketch.write_text(_ENDLESS_LOOP.sub(_let_time_pass, translated), **ENCODING)
+        sketch.write_text(_ENDLESS_LOOP.sub(_replace_endless_loop, translated), **ENCODING)
         files.insert(0, sketch)
         flags.append(f"-I{sketches[0].parent}")
     text = "\n".join(texts.values())
@@ -216,7 +216,7 @@ def make_recipe(
     files += [FOLDER / name for name in platform.sources]
     files += [file for library in platform.libraries for file in library.sources]
     if not platform.has_cplusplus_headers:
-        return _split_languages(files, flags)
+        return _make_recipe_by_language(files, flags)
     return _make_register_recipe(platform, files, flags, folder, preprocess, report_flags)
 
 
@@ -237,7 +237,7 @@ def _make_register_recipe(
     for k, file in enumerate(files):
         sources.append(file)
         if kinds.get(file) is CSource.CPLUSPLUS or file in unreported:
-            sources[-1] = _include_c(file, folder / f"{k}-{file.name}{WRAPPER}")
+            sources[-1] = _write_c_wrapper(file, folder / f"{k}-{file.name}{WRAPPER_SUFFIX}")
         elif file in with_registers:
             sources[-1] = _adapt_c(file, folder / f"{k}-{file.name}")
         if sources[-1] != file:
@@ -248,10 +248,10 @@ def _make_register_recipe(
     ]
     reports = bool(with_registers and report_flags)
     return replace(
-        _split_languages(sources, flags),
+        _make_recipe_by_language(sources, flags),
         c_flags=(f"-D{REGISTERS_IN_C}", *report_flags) if reports else (),
         cplusplus_flags=("-fpermissive",),
-        is_like_c=any(file.name.endswith(WRAPPER) for file in changed),
+        is_like_c=any(file.name.endswith(WRAPPER_SUFFIX) for file in changed),
         registers=FOLDER / platform.c_registers if reports else None,
         unreported=tuple(unreported),
         originals=changed,
@@ -260,7 +260,7 @@ def _make_register_recipe(
 
 def _classify_c_source(preprocessed: str) -> CSource:
     """Return the kind of a source in C by its preprocessed text with the errors of the preprocessor."""
-    if IS_CPLUSPLUS in preprocessed or _CPLUSPLUS_WORDS.search(preprocessed):
+    if CPLUSPLUS_HEADER_MESSAGE in preprocessed or _CPLUSPLUS_WORDS.search(preprocessed):
         return CSource.CPLUSPLUS
     return CSource.WITH_REGISTERS if _REGISTER_HEADER in preprocessed else CSource.PLAIN
 
@@ -278,7 +278,7 @@ def _replace_definitions(flags: Sequence[str], user_flags: Sequence[str]) -> lis
     return [flag for flag in flags if not (flag.startswith("-D") and flag[2:].partition("=")[0] in names)] + added
 
 
-def _split_languages(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
+def _make_recipe_by_language(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
     """Return the recipe that compiles each source file in its own language, C or C++."""
     in_c = tuple(file for file in files if file.suffix == ".c")
     others = tuple(str(file) for file in files if file.suffix != ".c")
@@ -289,10 +289,10 @@ def _split_languages(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe
 
 def remove_wrappers(message: str) -> str:
     """Remove the lines of a compiler about the files that include sources in C."""
-    return re.sub(rf"^In file included from [^\n]*{re.escape(WRAPPER)}:\d+:\n", "", message, flags=re.M)
+    return re.sub(rf"^In file included from [^\n]*{re.escape(WRAPPER_SUFFIX)}:\d+:\n", "", message, flags=re.M)
 
 
-def _include_c(source: Path, wrapper: Path) -> Path:
+def _write_c_wrapper(source: Path, wrapper: Path) -> Path:
     """Write a file in C++ that is a source in C: other sources in C find its functions under their own names."""
     content = _add_waits(source) or f'#include "{source.resolve()}"'
     wrapper.write_text(f'extern "C" {{\n{content}\n}}\n', **ENCODING)
@@ -316,11 +316,11 @@ def _add_waits(source: Path) -> str:
     The text is empty if there are no such loops.
     """
     text = source.read_text(**ENCODING)
-    waiting = _ENDLESS_LOOP.sub(_let_time_pass, text)
+    waiting = _ENDLESS_LOOP.sub(_replace_endless_loop, text)
     return "" if waiting == text else f'#line 1 "{source.resolve()}"\n{waiting}'
 
 
-def _let_time_pass(match: re.Match[str]) -> str:
+def _replace_endless_loop(match: re.Match[str]) -> str:
     """Return the text of an endless loop that waits for interrupts, in as many lines; the end of a do loop stays unchanged."""
     if match.string[: match.start()].rstrip().endswith("}") and match[1].startswith("while"):
         return match[0]

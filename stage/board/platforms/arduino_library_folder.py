@@ -11,8 +11,8 @@ from pathlib import Path
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 
-SOURCES = (".c", ".cc", ".cpp", ".cxx")
-LIBRARY_FILES = (*SOURCES, ".h", ".hh", ".hpp")
+SOURCE_SUFFIXES = (".c", ".cc", ".cpp", ".cxx")
+LIBRARY_FILES = (*SOURCE_SUFFIXES, ".h", ".hh", ".hpp")
 PROPERTIES = "library.properties"
 
 
@@ -63,7 +63,7 @@ def read_arduino_library(folder: str | os.PathLike) -> ArduinoLibrary:
         properties.get("name", root.resolve().name),
         root,
         include_folders,
-        tuple(file for file in files if file.suffix in SOURCES),
+        tuple(file for file in files if file.suffix in SOURCE_SUFFIXES),
         tuple(
             re.sub(r"\s*\(.*", "", name).strip() for name in properties.get("depends", "").split(",") if name.strip()
         ),

@@ -9,7 +9,7 @@ from pathlib import Path
 SKETCHES = (".ino", ".pde")
 """Endings of sketches; the second is that of the first versions of Arduino."""
 _SOURCES = (*SKETCHES, ".c", ".cc", ".cpp", ".cxx")
-_HIDDEN = re.compile(
+_NON_CODE_PATTERN = re.compile(
     r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'|^[^\S\n]*#(?:\\\n|[^\n])*", re.S | re.M
 )
 """Comments, strings and lines of the preprocessor."""
@@ -50,7 +50,7 @@ def _make_line_mark(text: str, at: int) -> str:
 
 def _blank_out(text: str) -> str:
     """Replace comments, strings and lines of the preprocessor by spaces."""
-    return _HIDDEN.sub(lambda m: re.sub(r"[^\n]", " ", m[0]), text)
+    return _NON_CODE_PATTERN.sub(lambda m: re.sub(r"[^\n]", " ", m[0]), text)
 
 
 def _find_functions(text: str) -> list[tuple[int, str]]:

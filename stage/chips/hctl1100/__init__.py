@@ -20,7 +20,7 @@ from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core
 from stage.chips.hctl1100.cycle_descriptions import CycleDescriber, Decoder
 from stage.chips.hctl1100.lint import lint_write
-from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
+from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESS_COUNT, MAP, NUMBERS, STATUS
 from stage.chips.write_diagnostics import Finding
 from stage.support.argument_checks import explain_arguments
 
@@ -50,7 +50,7 @@ class HCTL1100(Chip):
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
     CLOCK_RANGE: ClassVar = (100_000, 2_000_000)
     CLOCK_SOURCE: ClassVar = "AC characteristics"
-    ADDRESSES: ClassVar = ADDRESSES
+    ADDRESSES: ClassVar = ADDRESS_COUNT
     BUSY: ClassVar = (STATUS, PROFILE)
     COUNTER: ClassVar = ("R14", 24)
     DRIVER: ClassVar = "stage.firmware.hctl1100.driver:Hctl1100Driver"

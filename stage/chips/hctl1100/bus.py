@@ -19,8 +19,8 @@ WRITABLE_STATUS = maps.MAP.register("R07").writable
 PORT_ZERO = maps.MAP.register("R08").reset or 0
 RESET_ADDRESSES = (maps.TIMER, maps.ZERO, maps.POLE, maps.GAIN)
 RESET_VALUES = tuple(maps.find_reset_value(name) for name in ("timer", "zero", "pole", "gain"))
-IS_WRITE_ONLY = tuple(
-    1 if any(r.number == k and r.access == "W" for r in maps.MAP.registers) else 0 for k in range(maps.ADDRESSES)
+WRITE_ONLY_TABLE = tuple(
+    1 if any(r.number == k and r.access == "W" for r in maps.MAP.registers) else 0 for k in range(maps.ADDRESS_COUNT)
 )
 
 
@@ -48,7 +48,7 @@ def soft_reset(chip):
 @hot
 def hard_reset(chip):
     """Reset the HCTL-1100 as the RESET pin does. The clock, the input pins and the shaft stay."""
-    for k in range(maps.ADDRESSES):
+    for k in range(maps.ADDRESS_COUNT):
         chip.reg[k] = 0
     chip.flag_bits = chip.command = chip.command_high = chip.command_middle = chip.position_latch = chip.preset_high = (
         chip.preset_middle
@@ -161,13 +161,13 @@ def write_byte(chip, address, value):
         chip.command_middle = value
     elif address == maps.COMMAND_LOW:
         _write_command_low(chip, value)
-    elif address == maps.CLEAR:
+    elif address == maps.CLEAR_POSITION_ADDRESS:
         chip.position_origin = encoder.read_count(chip)
     elif address in (maps.PORT, maps.PWM) or maps.PRESET_HIGH <= address <= maps.PRESET_LOW:
         if chip.mode == state.IDLE:
             _write_register_in_init_idle(chip, address, value)
     else:
-        chip.reg[address] = value & state.STORED[address]
+        chip.reg[address] = value & state.STORED_MASKS[address]
         if address in (maps.PROPORTIONAL_LOW, maps.PROPORTIONAL_HIGH):
             law.apply_velocity_written_during_computation(chip, state.PROPORTIONAL)
         elif address == maps.INTEGRAL_VELOCITY:
@@ -221,7 +221,7 @@ def peek_byte(chip, address):
         return chip.actual_velocity & 0xFF
     if address == maps.VELOCITY_HIGH:
         return chip.actual_velocity >> 8 & 0xFF
-    return 0 if IS_WRITE_ONLY[address] else chip.reg[address]
+    return 0 if WRITE_ONLY_TABLE[address] else chip.reg[address]
 
 
 @hot

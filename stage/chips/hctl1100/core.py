@@ -11,7 +11,7 @@ from __future__ import annotations
 from stage.chips.core_interface import run_slices, scan_while_shafts_move
 from stage.chips.hctl1100 import bus, commutator, encoder, motor_port, sample_timer, state
 from stage.chips.hctl1100 import digital_filter as law
-from stage.chips.hctl1100.maps import ADDRESSES, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, RING
+from stage.chips.hctl1100.maps import ADDRESS_COUNT, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, RING
 from stage.chips.hctl1100.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, hot, least
 
@@ -192,13 +192,13 @@ def write(chip, address, value):
         address: Bus address.
         value: Datum.
     """
-    bus.write_byte(chip, address & (ADDRESSES - 1), value & 0xFF)
+    bus.write_byte(chip, address & (ADDRESS_COUNT - 1), value & 0xFF)
 
 
 @exported("i8", STATE, "i8")
 def read(chip, address):
     """Make a bus read cycle. A read of R14 latches the upper bytes of the actual position."""
-    return bus.read_byte(chip, address & (ADDRESSES - 1))
+    return bus.read_byte(chip, address & (ADDRESS_COUNT - 1))
 
 
 @exported("i8", STATE, "i8")

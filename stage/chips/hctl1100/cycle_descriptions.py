@@ -8,7 +8,7 @@ from typing import Any
 from stage.chips import cycle_descriptions
 from stage.chips.cycle_descriptions import FieldDescriber, Statement, shorten_line
 from stage.chips.hctl1100 import maps
-from stage.chips.hctl1100.state import IDLE, STORED
+from stage.chips.hctl1100.state import IDLE, STORED_MASKS
 from stage.chips.register_map import Register, RegisterMap
 
 SET, NUMBER = maps.FLAG_WRITE.fields
@@ -57,13 +57,13 @@ class CycleDescriber:
     def __init__(self, map_: RegisterMap, record: Any):
         self._chip = map_.chip
         self._registers = {register.number: register for register in map_.registers}
-        self._bytes = {a: int(record["reg"][a]) for a in range(maps.ADDRESSES)}
+        self._bytes = {a: int(record["reg"][a]) for a in range(maps.ADDRESS_COUNT)}
         for a, q in maps.QUANTITIES.items():
             if q.waits and a != q.low:
                 place = ("high", "middle")[q.addresses.index(a)]
                 self._bytes[a] = int(record[f"{'preset' if q is maps.PRESET_POSITION else 'command'}_{place}"])
             elif q.latched:
-                self._bytes[a] = int(record["position_latch"]) >> q.shift(a) & 0xFF
+                self._bytes[a] = int(record["position_latch"]) >> q.get_shift(a) & 0xFF
         self._unread: set[int] = set()  # of the latched bytes
         self._idle = int(record["mode"]) == IDLE
         flags, status = self._registers[maps.FLAG], self._registers[maps.STATUS]
@@ -75,7 +75,7 @@ class CycleDescriber:
 
     def write(self, address: int, value: int) -> str:
         """Describe a write cycle to register `address`, 0 to 63."""
-        address, value = address % maps.ADDRESSES, value & 0xFF
+        address, value = address % maps.ADDRESS_COUNT, value & 0xFF
         register = self._registers.get(address)
         if register is None:
             return f"no register of the {self._chip} at {address:02X}h: nothing changes"
@@ -88,7 +88,7 @@ class CycleDescriber:
             return f"{register.title}: {MODES.get(value) or f'{value:02X}h is no mode of the {self._chip}'}"
         if address == maps.STATUS:
             return self._set.describe("status", value, "; clears LIMIT and STOP if released")
-        if address == maps.CLEAR:
+        if address == maps.CLEAR_POSITION_ADDRESS:
             return f"{register.name}, any value: clears the {maps.QUANTITIES[address].title}"
         return self._describe_number(register, value)
 
@@ -108,18 +108,18 @@ class CycleDescriber:
         q = maps.QUANTITIES.get(register.number)
         if q is None:
             return self._describe_register(
-                register, value, value if register.signed else value & STORED[register.number]
+                register, value, value if register.signed else value & STORED_MASKS[register.number]
             )
         preset = q is maps.PRESET_POSITION
         if self._idle or not preset:
-            self._bytes[register.number] = value & STORED[register.number] if not q.waits else value
+            self._bytes[register.number] = value & STORED_MASKS[register.number] if not q.waits else value
         if q.waits and (register.number != q.low or (preset and not self._idle)):
             return shorten_line(f"{register.name} = {value:02X}h: {register.description}")
         return shorten_line(f"{register.name} = {value:02X}h: {q.describe(self._bytes)}")
 
     def read(self, address: int, value: int) -> str:
         """Describe a read cycle of register `address`, 0 to 63."""
-        address, value = address % maps.ADDRESSES, value & 0xFF
+        address, value = address % maps.ADDRESS_COUNT, value & 0xFF
         register = self._registers.get(address)
         if register is None:
             return f"no register of the {self._chip} at {address:02X}h: reads {value:02X}h"

@@ -39,7 +39,7 @@ TWICE_IN_SAMPLE = Rule("twice-in-sample", "page 24")
 
 REGISTERS = {r.number: r for r in maps.MAP.registers}
 MODE_FLAGS = state.F0 | state.F3 | state.F5
-COMMANDS = {
+COMMAND_ADDRESSES_BY_MODE = {
     state.POSITION: (maps.COMMAND_LOW,), state.TRAPEZOID: (maps.COMMAND_LOW,),
     state.INTEGRAL: (maps.COMMAND_LOW, maps.INTEGRAL_VELOCITY), state.PROPORTIONAL: maps.PROPORTIONAL_VELOCITY.addresses,
 }  # fmt: skip
@@ -50,8 +50,8 @@ PROFILE_DATA = (
     *maps.FINAL_POSITION.addresses,
 )
 IDLE_ONLY = (maps.PORT, maps.PWM, *maps.PRESET_POSITION.addresses)
-MODES = maps.MODE_WRITE.fields[0]
-RESET, INIT, ALIGN = (MODES.find_code(name) for name in ("reset", "Init/Idle", "Align"))
+MODE_FIELD = maps.MODE_WRITE.fields[0]
+RESET, INIT, ALIGN = (MODE_FIELD.find_code(name) for name in ("reset", "Init/Idle", "Align"))
 SET, NUMBER = maps.FLAG_WRITE.fields
 
 
@@ -106,8 +106,8 @@ def _lint_flag(chip: Any, value: int) -> Iterator[Finding]:
 
 def _lint_mode(chip: Any, read_encoder: Callable[[], int], value: int) -> Iterator[Finding]:
     """Check a write to R05, the program counter, which selects the mode of the HCTL-1100."""
-    if value not in MODES.values:
-        known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODES.values.items())
+    if value not in MODE_FIELD.values:
+        known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODE_FIELD.values.items())
         yield UNKNOWN_MODE, f"R05 = {value:02X}h is no mode: {known}"
         return
     if value in (RESET, INIT):
@@ -174,7 +174,7 @@ def _lint_data_in_control(chip: Any, address: int, value: int) -> Iterator[Findi
     if mode == state.TRAPEZOID and address in PROFILE_DATA:
         message = f"R{address:02X} is written while PROF is high: the profile in progress takes it"
         yield PROFILE_IN_PROGRESS, message
-    if address in COMMANDS[mode] and chip["clock"] < chip["computing_until"]:
+    if address in COMMAND_ADDRESSES_BY_MODE[mode] and chip["clock"] < chip["computing_until"]:
         when = f"wait until R0F has counted down by {state.MIN_TIMER_VALUES[mode]}"
         yield SAMPLE_IN_COMPUTATION, f"R{address:02X} is written while the sample is computed: {when}"
     if address == maps.INTEGRAL_VELOCITY and mode == state.INTEGRAL:
@@ -185,7 +185,7 @@ def _lint_data_in_control(chip: Any, address: int, value: int) -> Iterator[Findi
         elif abs(step) > 127:
             yield VELOCITY_STEP, f"R3C changes by {step}: successive command velocities may differ by 127"
     if (
-        address in COMMANDS[mode]
+        address in COMMAND_ADDRESSES_BY_MODE[mode]
         and chip["command_sample_end"] == chip["sample_end"]
         and int(chip["command_writes"]) >> state.COMMAND_ADDRESSES.index(address) & 1
     ):

@@ -21,8 +21,8 @@ PROPORTIONAL_LOW, PROPORTIONAL_HIGH = 0x23, 0x24
 ACCELERATION_FRACTION, ACCELERATION_WHOLE, MAX_VELOCITY = 0x26, 0x27, 0x28
 FINAL_LOW, FINAL_MIDDLE, FINAL_HIGH = 0x29, 0x2A, 0x2B
 VELOCITY_LOW, VELOCITY_HIGH, INTEGRAL_VELOCITY = 0x34, 0x35, 0x3C
-ADDRESSES = 64
-CLEAR = ACTUAL_MIDDLE
+ADDRESS_COUNT = 64
+CLEAR_POSITION_ADDRESS = ACTUAL_MIDDLE
 """Bus address at which any write clears the actual position."""
 SEVEN_BITS = (0, 0x7F)
 
@@ -54,7 +54,7 @@ class RegisterQuantity:
         """Address of the register with the low byte."""
         return self.addresses[-1]
 
-    def shift(self, address: int) -> int:
+    def get_shift(self, address: int) -> int:
         """Return the number of bits by which the byte at an address is shifted in the value: 0 for the low byte, then 8, 16."""
         return 8 * (len(self.addresses) - 1 - self.addresses.index(address))
 
@@ -67,7 +67,7 @@ class RegisterQuantity:
         Returns:
             For example "command position = 4112 counts".
         """
-        word = sum(bytes_[a] << self.shift(a) for a in self.addresses)
+        word = sum(bytes_[a] << self.get_shift(a) for a in self.addresses)
         top = 1 << 8 * len(self.addresses)
         number = word - top if self.signed and word >= top // 2 else word
         return f"{self.title} = {number / self.scale:.10g} {self.unit}"
@@ -104,7 +104,7 @@ def _make_bit(name: str, number: int, meaning: str, evidence: str = "D", access:
     return Field(name, number, number, meaning, evidence, access, **more)  # type: ignore[arg-type]
 
 
-_TRIGGERED = "a write here clears it once the pin is released"
+_TRIGGER_CLEAR_NOTE = "a write here clears it once the pin is released"
 _FLAGS = (
     _make_bit("f5", 5, "integral velocity mode", note="pages 31, 32"),
     _make_bit("f4", 4, "hold commutator", "M"),
@@ -117,9 +117,16 @@ _FLAGS = (
 )
 _STATUS = (
     _make_bit(
-        "limit", 7, "", values={0: "LIMIT has triggered", 1: "LIMIT has not triggered"}, silent=1, note=_TRIGGERED
+        "limit",
+        7,
+        "",
+        values={0: "LIMIT has triggered", 1: "LIMIT has not triggered"},
+        silent=1,
+        note=_TRIGGER_CLEAR_NOTE,
     ),
-    _make_bit("stop", 6, "", values={0: "STOP has triggered", 1: "STOP has not triggered"}, silent=1, note=_TRIGGERED),
+    _make_bit(
+        "stop", 6, "", values={0: "STOP has triggered", 1: "STOP has not triggered"}, silent=1, note=_TRIGGER_CLEAR_NOTE
+    ),
     _make_bit("init", 5, "init/idle mode", pins=("init",)),
     _make_bit("profile", 4, "the profile flag F0", pins=("prof",)),
     _make_bit("zero", 3, "always 0"),

@@ -60,7 +60,7 @@ STATE = record(
         ("shaft_count", "f8"),  # counts of the encoder
         ("shaft_rate", "f8"),  # counts a clock
         ("missed_counts", "f8"),  # net number of counts that came too fast for the filter
-        ("reg", "i8", (maps.ADDRESSES,)),  # what is stored as it was written, by address
+        ("reg", "i8", (maps.ADDRESS_COUNT,)),  # what is stored as it was written, by address
     ]
 )
 """State of one HCTL-1100."""
@@ -76,9 +76,9 @@ OUTPUTS = {
 
 F0, F1, F2, F3, F4, F5 = (maps.MAP.mask("R00", f"f{k}") for k in range(6))
 INHIBIT, FOUR, FULL = (maps.MAP.mask("R07", name) for name in ("inhibit", "four", "full"))
-STORED = tuple(
+STORED_MASKS = tuple(
     next((r.legal[1] if r.legal else r.mask for r in maps.MAP.registers if r.number == k and r.access != "R"), 0)
-    for k in range(maps.ADDRESSES)
+    for k in range(maps.ADDRESS_COUNT)
 )
 """The bits that a write stores, by address."""
 

@@ -23,8 +23,8 @@ from stage.support.argument_checks import explain_arguments
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 
-BYTES = 16
-_LATE_REGISTERS = {"HM": ("mode", state.HM), "HV": ("reg", state.HV)}
+FIRST_BYTE_ADDRESS = 16
+_HIGH_CODE_REGISTERS = {"HM": ("mode", state.HM), "HV": ("reg", state.HV)}
 """Fields and indices of the registers that commands from 60h on write in the older chips."""
 AX1, AX2, AX3 = (MCX314AS_MAP.field("WR5", f"AX{k}") for k in (1, 2, 3))
 
@@ -47,7 +47,7 @@ class Nova(Chip):
     AXES: ClassVar = 4
     ENCODERS: ClassVar = True
     IRQ: ClassVar = (-1, sum(state.COMMON_OUTPUTS.values()))
-    DRIVER: ClassVar = "stage.firmware.nova.mcx300_driver:FirstGenerationDriver"
+    DRIVER: ClassVar = "stage.firmware.nova.mcx300_driver:Mcx300Driver"
     VARIANT: ClassVar[int] = state.FIRST_GENERATION
     ADDRESS_MASK: ClassVar = 31
 
@@ -93,13 +93,13 @@ class Nova(Chip):
         super().set_input_word(axis, word)
 
     def lint(self, address: int, value: int) -> Iterable[Finding]:
-        if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
-            if address != BYTES:
+        if address >= FIRST_BYTE_ADDRESS:  # of the 8-bit bus only the low byte of WR0 acts
+            if address != FIRST_BYTE_ADDRESS:
                 return ()
             address, value = 0, int(self._record["command_high_byte"]) & 0xFF00 | value
-        return lint_write(self.MAP, self._lint_state(), address, value)
+        return lint_write(self.MAP, self._make_lint_state(), address, value)
 
-    def _lint_state(self) -> LintState:
+    def _make_lint_state(self) -> LintState:
         return LintState(self._record, self.AXES, self._find_interpolated_axes)
 
     def _find_interpolated_axes(self) -> int:
@@ -198,7 +198,7 @@ class Nova(Chip):
         if number < state.REGISTERS:
             return "reg", number
         k = number - state.MODE_FIRST
-        return ("mode", k) if 0 <= k < state.MODES else _LATE_REGISTERS.get(name)
+        return ("mode", k) if 0 <= k < state.MODE_REGISTER_COUNT else _HIGH_CODE_REGISTERS.get(name)
 
 
 class MCX514(Nova):
@@ -209,7 +209,9 @@ class MCX514(Nova):
     VARIANT: ClassVar = state.MCX514_TYPE
     DRIVER: ClassVar = "stage.firmware.nova.mcx514_driver:Mcx514Driver"
     MULTICHIP: ClassVar = True
-    READING_ACTS: ClassVar = frozenset({1, BYTES | 2, BYTES | 3})  # RR1, the interrupt factors
+    READING_ACTS: ClassVar = frozenset(
+        {1, FIRST_BYTE_ADDRESS | 2, FIRST_BYTE_ADDRESS | 3}
+    )  # RR1, the interrupt factors
 
     @property
     def linked(self) -> bool:
@@ -234,7 +236,7 @@ class MCX514(Nova):
             at, byte = int(address) & 15, int(value) & 0xFF
         except (TypeError, ValueError, OverflowError):
             raise make_cycle_error("write_byte", address, value) from None
-        self._write(BYTES | at, byte, (BYTES | at if at == address else address, value))
+        self._write(FIRST_BYTE_ADDRESS | at, byte, (FIRST_BYTE_ADDRESS | at if at == address else address, value))
 
     @exclusive
     def read_byte(self, address: int) -> int:
@@ -250,7 +252,7 @@ class MCX514(Nova):
             at = int(address) & 15
         except (TypeError, ValueError, OverflowError):
             raise make_cycle_error("read_byte", address) from None
-        return Chip.read(self, BYTES | at)
+        return Chip.read(self, FIRST_BYTE_ADDRESS | at)
 
 
 class MCX512(MCX514):
@@ -316,7 +318,7 @@ class MCX312(_ErratumChip):
         word = int(self._record["outputs5"])
         return 1 << AX1.extract(word) | 1 << AX2.extract(word)
 
-    def _lint_state(self) -> LintState:
+    def _make_lint_state(self) -> LintState:
         return Mcx312LintState(self._record, self.AXES, self._find_interpolated_axes)
 
     def _configure(self, record: Any) -> None:
@@ -335,7 +337,7 @@ class MCX314AS(Nova):
         axes = [f.extract(int(self._record["outputs5"])) for f in (AX1, AX2, AX3)]
         return sum(1 << j for j in {*axes[:count]})
 
-    def _lint_state(self) -> LintState:
+    def _make_lint_state(self) -> LintState:
         return Mcx314asLintState(self._record, self.AXES, self._find_interpolated_axes)
 
     def _configure(self, record: Any) -> None:

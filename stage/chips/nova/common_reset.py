@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.nova.functions import external_drives, home_search, synchronous_actions
 from stage.chips.nova.interpolation import interpolator as interpolation
-from stage.chips.nova.state import AXES, NO_PHASE
+from stage.chips.nova.state import MAX_CHIP_AXES, NO_PHASE
 from stage.native import hot
 
 
@@ -14,7 +14,7 @@ def clear_state(chip):
 
     The clock, the input pins and the pulse totals stay.
     """
-    for j in range(AXES):
+    for j in range(MAX_CHIP_AXES):
         x = chip.ax[j]
         for k in range(len(x.reg)):
             x.reg[k] = 0

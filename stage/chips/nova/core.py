@@ -27,7 +27,7 @@ from stage.chips.nova.motion.pulse_output import (
     compute_resting_pins,
     find_pulse_end,
 )
-from stage.chips.nova.motion.pulse_trace import EDGE_MARGIN, find_scan_stop, write_edge
+from stage.chips.nova.motion.pulse_trace import SPARE_EDGE_RECORDS, find_scan_stop, write_edge
 from stage.chips.nova.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, greatest, hot, least
 
@@ -46,7 +46,7 @@ __all__ = [
 def _process_due_events(chip):
     """Process all events that are due at the present clock, and find the clock of the next event."""
     if chip.encoder_axes:
-        encoder.follow_shafts(chip)
+        encoder.update_encoder_inputs(chip)
     for j in range(chip.axes):
         chip.ax[j].finished_sets = 0
     for _ in range(MAX_ROUNDS):
@@ -76,7 +76,7 @@ def _process_due_events(chip):
                 at, single_axis_drive.find_next_event(chip, axis, synchronous_actions.count_pulses_to_event(chip, axis))
             )
         if encoder.has_encoder(chip, j) and comparators.uses_real_position_counter(chip, axis):
-            at = least(at, comparators.find_next_rp_change(chip, axis))
+            at = least(at, comparators.find_next_rp_comparison_change(chip, axis))
     if chip.interpolating:
         at = least(at, interpolation.find_next_event(chip))
     chip.quiet_until = greatest(at, chip.clock + 1)
@@ -112,7 +112,7 @@ def run(chip, until):
         if chip.stale or chip.clock >= chip.quiet_until:
             _process_due_events(chip)
     if chip.encoder_axes:
-        encoder.follow_shafts(chip)
+        encoder.update_encoder_inputs(chip)
 
 
 # --- the functions for a stage, see stage/chips/core_interface.py ---
@@ -242,7 +242,7 @@ def _compute_other_outputs(chip, axis_index):
     bits = compute_ramp_phase_bits(chip, chip.ax[chip.ip.main_axis] if axis.interpolates else axis)
     word |= (state.ASND if bits & 1 else 0) | (state.CNST if bits & 2 else 0) | (state.DSND if bits & 4 else 0)
     word |= (state.DCC if chip.clock < axis.dcc_end else 0) | (state.SPLIT if axis.split_output else 0)
-    return word | ports.find_driven_outputs(chip, axis_index) * state.OUT
+    return word | ports.compute_driven_levels(chip, axis_index) * state.OUT
 
 
 @hot
@@ -460,7 +460,7 @@ def trace_pulses(chip, until, edges):
         if chip.stale or chip.clock >= chip.quiet_until:
             _process_due_events(chip)
     if chip.encoder_axes:
-        encoder.follow_shafts(chip)
+        encoder.update_encoder_inputs(chip)
     _clear_all_pulse_times(chip)
     return k
 
@@ -515,7 +515,7 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
         _process_due_events(chip)
     axis = chip.ax[axis_index]
     off = find_pulse_end(axis)
-    while chip.clock < until and k < len(edges) - EDGE_MARGIN:
+    while chip.clock < until and k < len(edges) - SPARE_EDGE_RECORDS:
         before, net_before, pins_before = (
             _compute_watched_outputs(chip, axis_index, every_pulse, off),
             axis.net,
@@ -529,7 +529,7 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
             stop = least(stop, encoder.find_next_edge(chip, axis))
         _advance_time(chip, greatest(stop, chip.clock + 1))
         if chip.encoder_axes:
-            encoder.follow_shafts(chip)
+            encoder.update_encoder_inputs(chip)
         if axis.net != net_before:
             off = (
                 chip.clock + compute_pulse_width(compute_speed(axis, chip.clock - axis.origin))
@@ -553,9 +553,9 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
 def scan_edges_and_shafts(chip, until, every_pulse, axis_index, edges, clocks, axes, counts, rates, done):
     """Write the edges of an axis while encoder shafts move, see `stage.chips.core_interface.scan_while_shafts_move`."""
     k = 0
-    while k < len(edges) - 2 * EDGE_MARGIN:
+    while k < len(edges) - 2 * SPARE_EDGE_RECORDS:
         n = done[0]
-        while n < len(clocks) and clocks[n] <= chip.clock and k < len(edges) - 2 * EDGE_MARGIN:
+        while n < len(clocks) and clocks[n] <= chip.clock and k < len(edges) - 2 * SPARE_EDGE_RECORDS:
             if axes[n] < 0:
                 k = _apply_wire_word(chip, every_pulse, axis_index, edges, k, -axes[n])
             else:

@@ -6,14 +6,14 @@ from typing import Any
 
 from stage.chips import cycle_descriptions
 from stage.chips.cycle_descriptions import FieldDescriber, Statement, describe_byte, shorten_line
-from stage.chips.nova.registers.field_builders import AXES, name_axes
+from stage.chips.nova.registers.field_builders import AXIS_LETTERS, name_axes
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.register_map import ChipCommand, Register, RegisterMap, Word
 
-BYTES = 16  # byte addresses of the 8-bit bus begin here
-_PATTERN = {"BP_ENABLED": True, "BP_DISABLED": False}
-_PAGE = {"RR3P0": False, "RR3P1": True}
+FIRST_BYTE_ADDRESS = 16  # byte addresses of the 8-bit bus begin here
+_LOADS_PATTERN_BY_COMMAND = {"BP_ENABLED": True, "BP_DISABLED": False}
+_SHOWS_PAGE_1_BY_COMMAND = {"RR3P0": False, "RR3P1": True}
 CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
 WRITING_KINDS = ("data write", "mode write")
 
@@ -38,8 +38,8 @@ class Decoder(cycle_descriptions.Decoder):
 
     def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         n = address
-        if address >= BYTES:
-            n, high = (address - BYTES) >> 1, address & 1
+        if address >= FIRST_BYTE_ADDRESS:
+            n, high = (address - FIRST_BYTE_ADDRESS) >> 1, address & 1
             old = self._words[n]
             value = old & 0xFF | value << 8 if high else old & 0xFF00 | value
             if n == 0 and high:
@@ -111,8 +111,8 @@ class CycleDescriber:
             address: n, or 16 and above for bytes.
             value: The word or byte.
         """
-        if address >= BYTES:
-            return self._write_byte(address - BYTES, value & 0xFF)
+        if address >= FIRST_BYTE_ADDRESS:
+            return self._describe_byte_write(address - FIRST_BYTE_ADDRESS, value & 0xFF)
         n, value = address & 7, value & 0xFFFF
         if n == 0:
             return shorten_line(self._describe_command_word(value))
@@ -130,7 +130,7 @@ class CycleDescriber:
         fields = self._fields.get(f"WR{n}")
         return fields.describe(f"WR{n}", value) if fields else f"WR{n} is not used on the {self._map.chip}"
 
-    def _write_byte(self, byte_index: int, value: int) -> str:
+    def _describe_byte_write(self, byte_index: int, value: int) -> str:
         """Describe a write of a byte by the word that the register then contains."""
         n, high = byte_index >> 1 & 7, byte_index & 1
         old = self._first if n == 0 else self._by_axis[self._lowest_axis][n] if n <= 3 else self._common[n]
@@ -155,7 +155,7 @@ class CycleDescriber:
         if command is None:
             return f"{head}{CODE.extract(value):02X}h is no command of the {self._map.chip}"
         if command.kind == "data read":
-            return self._note_reading(command)
+            return self._describe_read_command(command)
         if command.axes and not axes:
             return f"to no axis, nothing happens: {command.title}"
         if command.symbol == "RST":
@@ -169,17 +169,17 @@ class CycleDescriber:
             return self._describe_contents(
                 f"{head}set {register.title} {register.name}", register, self._common[7] << 16 | self._common[6]
             )
-        if command.symbol in _PATTERN:
-            self._pattern = _PATTERN[command.symbol]
-        elif command.symbol in _PAGE:
-            self._pages = self._pages | axes if _PAGE[command.symbol] else self._pages & ~axes
+        if command.symbol in _LOADS_PATTERN_BY_COMMAND:
+            self._pattern = _LOADS_PATTERN_BY_COMMAND[command.symbol]
+        elif command.symbol in _SHOWS_PAGE_1_BY_COMMAND:
+            self._pages = self._pages | axes if _SHOWS_PAGE_1_BY_COMMAND[command.symbol] else self._pages & ~axes
         return head + _describe_command(command, value)
 
-    def _note_reading(self, command: ChipCommand) -> str:
+    def _describe_read_command(self, command: ChipCommand) -> str:
         """Note the register that a reading command has copied to RR6 and RR7, and describe the command."""
         name = command.symbol.removeprefix("R-")
         place = self._map.word(name) if name.startswith("WR") else self._map.register(name)
-        axis = f"{AXES[self._lowest_axis]}: " if command.axes else ""
+        axis = f"{AXIS_LETTERS[self._lowest_axis]}: " if command.axes else ""
         self._reading, self._bytes = (axis, place, command.bytes), {}
         return f"{axis}read {place.title} {name}"
 
@@ -195,7 +195,7 @@ class CycleDescriber:
             address: n, or 16 and above for bytes.
             value: The word or byte.
         """
-        if address >= BYTES:
+        if address >= FIRST_BYTE_ADDRESS:
             n, high, width, value = address >> 1 & 7, address & 1, 1, value & 0xFF
         else:
             n, high, width, value = address & 7, 0, 2, value & 0xFFFF
@@ -204,7 +204,7 @@ class CycleDescriber:
         name = f"RR{n}"
         if n == 3 and "RR3-1" in self._fields:
             name += "-1" if self._pages >> self._lowest_axis & 1 else "-0"
-        head = f"{AXES[self._lowest_axis]}: " if 1 <= n <= 3 else ""
+        head = f"{AXIS_LETTERS[self._lowest_axis]}: " if 1 <= n <= 3 else ""
         head += name.replace("-", " page ")
         if width == 1:
             head += f" bits {8 * high + 7}..{8 * high}"

@@ -19,7 +19,7 @@ from stage.chips.nova import MCX514
 from stage.errors import ArgumentError
 
 BYTES, PINS = 16, 8
-FREE = 0xFF
+RELEASED_BUS_BYTE = 0xFF
 """Value of a read if no chip answers: nothing pulls the line down."""
 
 
@@ -47,7 +47,7 @@ class I2C:
         """Time of all transfers so far, s. The chips do not see it pass: the host must advance them."""
 
     @staticmethod
-    def address(pins: int, byte: int, read: bool = False) -> int:
+    def make_address_byte(pins: int, byte: int, read: bool = False) -> int:
         """Return the address byte of a transfer.
 
         Args:
@@ -92,7 +92,7 @@ class I2C:
         """
         chip, first = self._find_chip(address, True)
         self._add_transfer_time(count if chip else 0)
-        return bytes(chip.read_byte((first + k) % BYTES) if chip else FREE for k in range(count))
+        return bytes(chip.read_byte((first + k) % BYTES) if chip else RELEASED_BUS_BYTE for k in range(count))
 
     def _find_chip(self, address: int, read: bool) -> tuple[MCX514 | None, int]:
         """Return the chip that an address byte names, or None, and the number of the first byte."""

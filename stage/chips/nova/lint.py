@@ -14,9 +14,9 @@ import numpy as np
 
 from stage.chips.nova import core, state
 from stage.chips.nova.interpolation import multichip
-from stage.chips.nova.registers.field_builders import AXES
+from stage.chips.nova.registers.field_builders import AXIS_LETTERS
 from stage.chips.nova.registers.mcx300 import RESET
-from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP, POINT
+from stage.chips.nova.registers.mcx514 import COORDINATE_RANGE_PULSES, MAX_CONTINUOUS_PPS, MCX514_MAP
 from stage.chips.register_map import ChipCommand, Register, RegisterMap, Word
 from stage.chips.write_diagnostics import Finding, Rule
 
@@ -69,7 +69,7 @@ REFUSALS = {
     state.F_STOP2: "STOP2 is active and enabled",
 }
 """Error of RR2, or what has ended the drive -> why a drive does not begin."""
-STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
+STOP3_REFUSAL_REASON = {state.F_STOP3: "STOP3 is active and enabled"}
 """Table like REFUSALS for chips that have STOP3; in the other chips this bit has another cause."""
 
 
@@ -91,7 +91,7 @@ class LintState:
         return list(self._record["ax"][: self._count])
 
     @property
-    def data(self) -> int:
+    def command_data(self) -> int:
         """Data in WR6 and WR7, 32 bits."""
         return int(self._record["data_low"]) | int(self._record["data_high"]) << 16
 
@@ -105,7 +105,7 @@ class LintState:
         """Axes whose status bit n-DRV is 1, as bits."""
         return sum(1 << k for k, x in enumerate(self._axes) if x["driving"] or x["interpolates"])
 
-    def _find_fixed_pulse_drives(self, is_absolute: int) -> int:
+    def _find_fixed_drive_axes(self, is_absolute: int) -> int:
         """Return the axes in drives of a fixed number of pulses, absolute or relative, as bits."""
         axes = enumerate(self._axes)
         return sum(
@@ -113,14 +113,14 @@ class LintState:
         )
 
     @property
-    def relative_drives(self) -> int:
+    def relative_drive_axes(self) -> int:
         """Axes in relative or counter relative position driving (50h, 51h), as bits."""
-        return self._find_fixed_pulse_drives(0)
+        return self._find_fixed_drive_axes(0)
 
     @property
-    def absolute_drives(self) -> int:
+    def absolute_drive_axes(self) -> int:
         """Axes in absolute position driving (54h), as bits."""
-        return self._find_fixed_pulse_drives(1)
+        return self._find_fixed_drive_axes(1)
 
     @property
     def is_interpolating(self) -> bool:
@@ -159,7 +159,7 @@ class LintState:
         rows = self.copy_record()
         core.write(rows, 0, value)
         refusals = {}
-        reasons = REFUSALS | STOP3 if self._record["extended"] else REFUSALS
+        reasons = REFUSALS | STOP3_REFUSAL_REASON if self._record["extended"] else REFUSALS
         for k in range(self._count):
             x, after = self._axes[k], rows[0]["ax"][k]
             empty = after["fixed"] and after["output_pulses"] == 0
@@ -191,7 +191,7 @@ class LintState:
         return bool(self._record["wire_word"] & multichip.GO)
 
     @property
-    def drive_speed(self) -> tuple[int, ...]:
+    def drive_speeds(self) -> tuple[int, ...]:
         """DV of every axis, pps; empty on chips whose speeds have no common unit."""
         return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
 
@@ -214,7 +214,7 @@ class Mcx312LintState(LintState):
         return 0
 
     @property
-    def drive_speed(self) -> tuple[int, ...]:
+    def drive_speeds(self) -> tuple[int, ...]:
         return ()
 
     @property
@@ -304,7 +304,7 @@ def _lint_axes(map_: RegisterMap, command: ChipCommand, name: str, axes: int) ->
 
 def _lint_data(register: Register, chip: Any, command: ChipCommand, axes: int) -> Iterator[Finding]:
     """Check the data of a command that writes register `register`."""
-    word = chip.data & register.mask
+    word = chip.command_data & register.mask
     value = register.value(word)
     section = register.section or f"{command.kind[:4]} writing commands"
     if (
@@ -318,31 +318,34 @@ def _lint_data(register: Register, chip: Any, command: ChipCommand, axes: int) -
         yield UNUSED_BITS.with_source(section), f"{register.name} = {word:04X}h: it has no {_name_bits(unused)}"
     for f in register.fields:
         if axes and f.only is not None and f.extract(word) and not axes >> f.only & 1:
-            message = f"{register.name} = {word:04X}h to {_name_axes(axes)}: {f.name} ({f.meaning}) acts on {AXES[f.only]} only"
+            message = (
+                f"{register.name} = {word:04X}h to {_name_axes(axes)}: {f.name} ({f.meaning}) acts on "
+                f"{AXIS_LETTERS[f.only]} only"
+            )
             yield ONE_AXIS_ONLY.with_source(section), message
     if register.name == "IPM" and MLT.extract(word) and LMDF.extract(word):
         message = f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized"
         yield EXCLUSIVE_BITS.with_source(section), message
     if register.name == "TP":
         yield from _lint_pulses_in_motion(register, chip, axes, value)
-    if register.name == "DV" and chip.is_interpolating and axes & _find_main_axis(chip) and value > CONTINUOUS_SPEED:
-        message = f"DV = {value} in continuous interpolation: {CONTINUOUS_SPEED} is the most"
+    if register.name == "DV" and chip.is_interpolating and axes & _find_main_axis(chip) and value > MAX_CONTINUOUS_PPS:
+        message = f"DV = {value} in continuous interpolation: {MAX_CONTINUOUS_PPS} is the most"
         yield CONTINUOUS_TOO_FAST, message
     yield from _lint_fields(register, word, section)
 
 
 def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> Iterator[Finding]:
     """Check a value that is written to TP while axes drive."""
-    if axes & chip.relative_drives and not tp.allows(value):
+    if axes & chip.relative_drive_axes and not tp.allows(value):
         yield (
             VALUE_RANGE.with_source(tp.section),
             f"TP = {value} while driving: {tp.title} takes {tp.range[0]} to {tp.range[1]}",
         )
-    if moving := axes & chip.absolute_drives:
+    if moving := axes & chip.absolute_drive_axes:
         message = f"TP written while {_name_axes(moving)} is in absolute position driving: it cannot be changed"
         yield TP_IN_ABSOLUTE_DRIVE, message
     if turned := sum(
-        1 << k for k, old in enumerate(chip.tp_values) if axes & chip.relative_drives & 1 << k and old * value < 0
+        1 << k for k, old in enumerate(chip.tp_values) if axes & chip.relative_drive_axes & 1 << k and old * value < 0
     ):
         why = "the direction cannot be changed, and the drive stops at once"
         yield TP_REVERSES_DRIVE, f"TP = {value} while {_name_axes(turned)} drives the other way: {why}"
@@ -355,7 +358,7 @@ def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> I
         if (axes >> k & 1 or map_.axes == 1) and not tp.allows(value):
             yield (
                 PULSE_NUMBER,
-                f"{name} with TP = {value} of {AXES[k]}: {tp.title} takes {tp.range[0]} to {tp.range[1]}",
+                f"{name} with TP = {value} of {AXIS_LETTERS[k]}: {tp.title} takes {tp.range[0]} to {tp.range[1]}",
             )
 
 
@@ -372,13 +375,16 @@ def _lint_interpolation(chip: Any, command: ChipCommand, name: str) -> Iterator[
         chip.multichip_role and chip.is_wired_to_other_chips
     ):  # lines of several chips do not queue
         yield PRE_BUFFER_FULL, f"{name} while the pre-buffer is full: wait for CNEXT = 1"
-    speed = sum(dv for k, dv in enumerate(chip.drive_speed) if _find_main_axis(chip) >> k & 1)
-    if chip.is_interpolating and speed > CONTINUOUS_SPEED:
-        message = f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most"
+    speed = sum(dv for k, dv in enumerate(chip.drive_speeds) if _find_main_axis(chip) >> k & 1)
+    if chip.is_interpolating and speed > MAX_CONTINUOUS_PPS:
+        message = f"{name} in continuous interpolation with DV = {speed}: {MAX_CONTINUOUS_PPS} is the most"
         yield CONTINUOUS_TOO_FAST, message
     for k, tp in enumerate(chip.tp_values):
-        if axes >> k & 1 and command.points and not POINT[0] <= tp <= POINT[1]:
-            message = f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}"
+        if axes >> k & 1 and command.points and not COORDINATE_RANGE_PULSES[0] <= tp <= COORDINATE_RANGE_PULSES[1]:
+            message = (
+                f"{name} with TP = {tp} of {AXIS_LETTERS[k]}: a finish point takes {COORDINATE_RANGE_PULSES[0]} "
+                f"to {COORDINATE_RANGE_PULSES[1]}"
+            )
             yield FINISH_POINT_RANGE, message
     if command.symbol in HELICES:
         yield from _lint_helix(chip, name)
@@ -390,7 +396,7 @@ def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
         if (pulses := abs(chip.tp_values[k])) > chip.helix_ticks:
             limit = f"the {chip.helix_ticks} ticks of HLV make one pulse each at most"
             lost = f"the other {pulses - chip.helix_ticks} are lost"
-            yield HELIX_PULSES_LOST, f"{name} with TP = {chip.tp_values[k]} of {AXES[k]}: {limit}; {lost}"
+            yield HELIX_PULSES_LOST, f"{name} with TP = {chip.tp_values[k]} of {AXIS_LETTERS[k]}: {limit}; {lost}"
 
 
 def _lint_multichip(chip: Any, command: ChipCommand, name: str) -> Iterator[Finding]:
@@ -441,4 +447,4 @@ def _name_bits(mask: int) -> str:
 
 def _name_axes(axes: int) -> str:
     """Return the names of the axes whose bits are set in a mask, in words."""
-    return ", ".join(a for k, a in enumerate(AXES) if axes >> k & 1)
+    return ", ".join(a for k, a in enumerate(AXIS_LETTERS) if axes >> k & 1)

@@ -9,11 +9,11 @@ from stage.chips.nova.registers.mcx514 import MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import RegisterMap
 from stage.native import record
 
-AXES = 4
+MAX_CHIP_AXES = 4
 REGISTERS = 32
 MAX_PIECES = 12
 INPUT_PINS = 23
-DRAFTED = 4
+MAX_DRAFTED_PIECES = 4
 SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
 NEVER = 1 << 60
@@ -32,7 +32,7 @@ JK, DJ, AC, DC, SV, DV, TP, DP, CP, LP, RP, SP, SM, AO, LX, RX, MR0 = _find_regi
 )
 HV, IV, TM, SP1, SP2, TX, HLN, HLV = _find_register_numbers(MCX514_MAP, "HV IV TM SP1 SP2 TX HLN HLV")
 R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = _find_register_numbers(MCX312_MAP, "R K A D V P C EP CP CM L")
-MODES = 16
+MODE_REGISTER_COUNT = 16
 MODE_FIRST = MCX514_MAP.register("MRM").number
 # indices in `mode`: the code of the command that writes the mode register, minus 20h
 MRM, P1M, P2M, H1M, H2M, FLM, S0M, IPM = (
@@ -62,8 +62,12 @@ _PROFILE = [  # of the drive in progress: pieces, each a cubic polynomial of the
     ("j6", "f8", (MAX_PIECES, 2)),  # a sixth of its jerk
     # planner
     ("cursor", "f8", (4, 2)),  # time, place, speed and acceleration at the end of the plan so far
-    ("drafted_pieces", "f8", (DRAFTED, 3, 2)),  # durations, accelerations, jerks of a drafted change of speed
-    ("stored_draft", "f8", (DRAFTED, 3, 2)),  # the same of a draft that waits while others are tried
+    (
+        "drafted_pieces",
+        "f8",
+        (MAX_DRAFTED_PIECES, 3, 2),
+    ),  # durations, accelerations, jerks of a drafted change of speed
+    ("stored_draft", "f8", (MAX_DRAFTED_PIECES, 3, 2)),  # the same of a draft that waits while others are tried
     ("sv", "f8", (2,)),  # initial speed, pulses per clock
     ("dv", "f8", (2,)),  # drive speed
     ("acceleration", "f8", (2,)),  # acceleration, pulses per clock squared
@@ -167,7 +171,7 @@ AXIS = record(
         ("filter_delay", "i8"),  # delay of the filters, clocks
         ("second_filter_delay", "i8"),  # delay of the filters of STOP2, ECA and ECB, clocks
         ("reg", "i8", (REGISTERS,)),  # registers by the indices above
-        ("mode", "i8", (MODES,)),  # mode registers 20h to 2Fh
+        ("mode", "i8", (MODE_REGISTER_COUNT,)),  # mode registers 20h to 2Fh
         ("wr", "i8", (4,)),  # WR1 to WR3 under their own number
         ("filter_ends", "i8", (INPUT_PINS,)),  # clocks at which the filters pass a change of their inputs
         ("pulse_until", "i8", (SYNC_SETS,)),  # clocks at which the sync pulses on PIO end
@@ -177,7 +181,7 @@ AXIS = record(
 """State of one axis of a NOVA chip."""
 
 LINE, ARC, PATTERN, HELIX = range(1, 5)
-STAGES = 8  # of the pre-buffer; the queue has one more place, for the running segment
+PRE_BUFFER_STAGES = 8  # of the pre-buffer; the queue has one more place, for the running segment
 
 SEGMENT = record(
     [
@@ -192,8 +196,12 @@ SEGMENT = record(
         ),  # ticks of a line; of a helix: those in which the axes beyond the circle make their pulses
         ("rotations", "i8"),  # whole rotations of a helix before its arc
         ("y_sign", "i8"),  # -1 for clockwise circles, else 1
-        ("axis_numbers", "i8", (AXES,)),  # number of the axis at each place
-        ("finish", "i8", (AXES,)),  # finish point, pulses; of a bit pattern + in the low, - in the high 16 bits
+        ("axis_numbers", "i8", (MAX_CHIP_AXES,)),  # number of the axis at each place
+        (
+            "finish",
+            "i8",
+            (MAX_CHIP_AXES,),
+        ),  # finish point, pulses; of a bit pattern + in the low, - in the high 16 bits
         ("center", "i8", (2,)),  # relative, pulses
     ]
 )
@@ -248,10 +256,10 @@ INTERPOLATION = record(
         # bit patterns of the MCX312
         ("loads_pattern", "i8"),  # writes to WR2 to WR5 go to `pattern_words`
         ("stacked_sets", "i8"),  # sets of the pattern stack that wait for 34h
-        ("steps", "i8", (AXES,)),  # whether each place of the segment makes a pulse
-        ("directions", "i8", (AXES,)),  # direction of its pulses, 1 or -1
-        ("line_errors", "i8", (AXES,)),  # error terms of the slower axes of a line
-        ("inner_positions", "i8", (AXES,)),  # positions in inner ticks
+        ("steps", "i8", (MAX_CHIP_AXES,)),  # whether each place of the segment makes a pulse
+        ("directions", "i8", (MAX_CHIP_AXES,)),  # direction of its pulses, 1 or -1
+        ("line_errors", "i8", (MAX_CHIP_AXES,)),  # error terms of the slower axes of a line
+        ("inner_positions", "i8", (MAX_CHIP_AXES,)),  # positions in inner ticks
         ("pattern_words", "i8", (6,)),  # the bit pattern that is being written
         ("arc", ARC_STATE),  # the running circle
         ("scratch_arc", ARC_STATE),  # an arc for calculations ahead
@@ -295,8 +303,8 @@ STATE = record(
         ("signals_failure", "i8"),  # the chip signals an error to the other chips
         ("multichip_error", "i8"),  # MCERR
         ("ip", INTERPOLATION),
-        ("queue", SEGMENT, (STAGES + 1,)),  # the running segment and those that wait, in a ring
-        ("ax", AXIS, (AXES,)),
+        ("queue", SEGMENT, (PRE_BUFFER_STAGES + 1,)),  # the running segment and those that wait, in a ring
+        ("ax", AXIS, (MAX_CHIP_AXES,)),
     ]
 )
 """State of one NOVA chip."""
@@ -304,13 +312,16 @@ STATE = record(
 _SIGNALS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2", "inpos", "alarm", "eca", "ecb")
 INPUTS = {name: 1 << k for k, name in enumerate((*_SIGNALS, *(f"pio{i}" for i in range(8))))}
 LMT_PLUS, LMT_MINUS, STOP0, STOP1, STOP2, INPOS, ALARM, ECA, ECB = (1 << k for k in range(9))
-PIO = 9
-EXP = PIO + 4  # EXP+, then EXP-
-INPUTS_300 = {name: 1 << k for k, name in enumerate(_SIGNALS)} | {"exp_plus": 1 << EXP, "exp_minus": 2 << EXP}
+PIO0_SHIFT = 9
+EXP_PLUS_SHIFT = PIO0_SHIFT + 4  # EXP+, then EXP-
+INPUTS_300 = {name: 1 << k for k, name in enumerate(_SIGNALS)} | {
+    "exp_plus": 1 << EXP_PLUS_SHIFT,
+    "exp_minus": 2 << EXP_PLUS_SHIFT,
+}
 """Input pins of the chips before the MCX514."""
-STOP3 = 1 << PIO
+STOP3 = 1 << PIO0_SHIFT
 INPUTS_314 = INPUTS_300 | {"stop3": STOP3}
-INPUTS_512 = INPUTS | {f"pio{i}": 1 << PIO + i for i in range(8, 14)}  # PIO8 to PIO13
+INPUTS_512 = INPUTS | {f"pio{i}": 1 << PIO0_SHIFT + i for i in range(8, 14)}  # PIO8 to PIO13
 EMG_FILTER = 1 << INPUT_PINS  # of `filtered`, of X
 EMG = 1
 COMMON_INPUTS = {"emg": EMG}

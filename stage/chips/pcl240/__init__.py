@@ -11,7 +11,7 @@ import numpy as np
 from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, state
 from stage.chips.pcl240.cycle_descriptions import CycleDescriber, Decoder
-from stage.chips.pcl240.lint import Predictions, lint_command, lint_data
+from stage.chips.pcl240.lint import EffectPredictors, lint_command, lint_data
 from stage.chips.pcl240.maps import (
     CONTROL,
     OPERATING_MODE,
@@ -106,7 +106,7 @@ class PCL240(Chip):
         """Copy the leader's present R7 to the input SYNI of this chip."""
         word = self.input_word(0) & state.ALL_INPUTS
         if self._leader is not None:
-            word |= int(self._leader.state["reg"][7]) + 1 << state.SYNI
+            word |= int(self._leader.state["reg"][7]) + 1 << state.SYNI_SHIFT
         if word != self.input_word(0):
             self.set_input_word(0, word)
             if self.open_journal is not None:
@@ -165,7 +165,7 @@ class PCL240(Chip):
     def lint(self, address: int, value: int) -> Iterator[Finding]:
         if address:
             return lint_data(self.MAP, self._record, address, value)
-        predictions = Predictions(self._makes_pulses, self._predict_last_speed, self.clock_hz)
+        predictions = EffectPredictors(self._makes_pulses, self._predict_last_speed, self.clock_hz)
         return lint_command(self.MAP, self._record, predictions, value)
 
     def _makes_pulses(self, command: int) -> bool:

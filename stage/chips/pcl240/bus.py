@@ -44,7 +44,7 @@ def _execute_operating_command(chip, value):
             chip.uses_ramps, chip.speed_select, chip.stopping = ramps, value & state.SPEED, 0
         elif chip.armed and not chip.finishing and not is_blocked(chip) and not (chip.preset and chip.reg[0] == 0):
             chip.uses_ramps, chip.speed_select, chip.stopping = ramps, value & state.SPEED, 0
-            state.begin_run(chip)
+            state.clear_run_state(chip)
             correct_fh(chip)
             chip.speed = chip.reg[1] if chip.uses_ramps else read_selected_speed(chip)
             chip.running = 1

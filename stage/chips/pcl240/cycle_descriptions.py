@@ -6,12 +6,12 @@ from typing import Any
 
 from stage.chips import cycle_descriptions
 from stage.chips.cycle_descriptions import FieldDescriber, Statement, describe_byte, shorten_line
-from stage.chips.pcl240.maps import CONTROL, COUNTERS, OPERATE, OPERATING_MODE, OUTPUT, SELECT, WRITTEN
+from stage.chips.pcl240.maps import COMMAND_WORD_NAMES, CONTROL, COUNTERS, OPERATE, OPERATING_MODE, OUTPUT, SELECT
 from stage.chips.pcl240.state import GROUP, INT_AT_STOP, RAMP, REGISTER, START, STOP
 from stage.chips.register_map import Register, RegisterMap
 
-SPEED = next(f for f in OPERATING_MODE.fields if f.name == "speed")
-_NONE = {CONTROL: "manual, plus", OUTPUT: "common pulses"}
+SPEED_FIELD = next(f for f in OPERATING_MODE.fields if f.name == "speed")
+_DEFAULT_MODE_TEXTS = {CONTROL: "manual, plus", OUTPUT: "common pulses"}
 """Descriptions of mode commands in which no bit is set."""
 
 
@@ -24,9 +24,9 @@ def describe_command(map_: RegisterMap, value: int) -> str:
         return (
             f"select {find_selected_register(map_, value).name}{', collective' if is_collective(map_, value) else ''}"
         )
-    word = map_.word(WRITTEN[group])
+    word = map_.word(COMMAND_WORD_NAMES[group])
     on = [f.name for f in word.fields if f.name != "group" and f.extract(value)]
-    return f"{word.name} mode: {', '.join(on) or _NONE[group]}"
+    return f"{word.name} mode: {', '.join(on) or _DEFAULT_MODE_TEXTS[group]}"
 
 
 def find_selected_register(map_: RegisterMap, value: int) -> Register:
@@ -42,7 +42,7 @@ def is_collective(map_: RegisterMap, value: int) -> bool:
 
 def name_speed(value: int) -> str:
     """Return the name of the speed that a start command selects: FL, FH1 or FH2."""
-    return SPEED.values.get(SPEED.extract(value), SPEED.values[0])
+    return SPEED_FIELD.values.get(SPEED_FIELD.extract(value), SPEED_FIELD.values[0])
 
 
 def _describe_operating_command(value: int) -> str:

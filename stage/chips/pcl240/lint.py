@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from stage.chips.pcl240.maps import WRITTEN
+from stage.chips.pcl240.maps import COMMAND_WORD_NAMES
 from stage.chips.pcl240.state import (
     EL_MINUS,
     EL_PLUS,
@@ -36,7 +36,7 @@ from stage.chips.pcl240.state import (
     SPEED,
     START,
     STOP,
-    SYNI,
+    SYNI_SHIFT,
     UNCORRECTED,
 )
 from stage.chips.register_map import RegisterMap
@@ -77,18 +77,18 @@ MOVE_TOO_SHORT = Rule("move-too-short", "MS section 3-4")
 
 MAX_RATE_PPS = 245_730
 """Maximum output rate: 8191 speed steps of 30 pps, the greatest multiplier (data sheet, sections 1 and 4)."""
-LAST_PULSES = 16
+MISSING_PULSES_THRESHOLD = 16
 """A move is reported as too short if at the speed at which it stops so many pulses are missing of a ramp that ends at FL, or a
 tenth of the ramp: some pulses are always missing, see docs/ramp_down.md."""
 _SPEEDS = MAP.field("operate", "speed").values
-_FH = {FH1: 2, FH2: 3}
+_FH_REGISTER_BY_SPEED = {FH1: 2, FH2: 3}
 """Number of the register for each speed select code; R1 for every other code."""
-_WORD = (1 << 24) - 1
+_DATA_MASK = (1 << 24) - 1
 """Mask of the bits in the three data bytes of a register."""
 _RAMPING = ("R1", "R4", "R5", "R14", "R15")
 
 
-class Predictions(NamedTuple):
+class EffectPredictors(NamedTuple):
     """Functions that predict the effect of a command if neither a write nor a change of an input follows it.
 
     Attributes:
@@ -142,11 +142,11 @@ def _find_sign_extension(name: str, chip: Any, written: int) -> int:
 
     These bits do not fit the register, but no information is lost without them.
     """
-    sign = _WORD & ~(int(chip["offset_sign_bit"]) - 1)
+    sign = _DATA_MASK & ~(int(chip["offset_sign_bit"]) - 1)
     return sign if name == "R6" and chip["extended"] and written & sign == sign else 0
 
 
-def lint_command(map_: RegisterMap, chip: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
+def lint_command(map_: RegisterMap, chip: Any, predictions: EffectPredictors, value: int) -> Iterator[Finding]:
     """Yield every rule that a byte to address 0 breaks, with a message.
 
     Args:
@@ -155,7 +155,7 @@ def lint_command(map_: RegisterMap, chip: Any, predictions: Predictions, value: 
         predictions: Functions that predict the effect of the command.
         value: The byte.
     """
-    word = map_.word(WRITTEN[value & GROUP])
+    word = map_.word(COMMAND_WORD_NAMES[value & GROUP])
     if word.name != "operate":
         if unused := value & ~word.used:
             bits = " and ".join(str(k) for k in range(7, -1, -1) if unused >> k & 1)
@@ -201,7 +201,10 @@ def _lint_rate(chip: Any, clock_hz: int, value: int) -> Iterator[Finding]:
     """Check that the speed which a start or a speed change selects is within the maximum of the data sheet."""
     multiplier = int(chip["multiplier"])
     k = max(
-        [1, _FH.get(value & SPEED, 1)] if value & RAMP else [_FH.get(value & SPEED, 1)], key=lambda k: chip["reg"][k]
+        [1, _FH_REGISTER_BY_SPEED.get(value & SPEED, 1)]
+        if value & RAMP
+        else [_FH_REGISTER_BY_SPEED.get(value & SPEED, 1)],
+        key=lambda k: chip["reg"][k],
     )
     steps = int(chip["reg"][k])
     if multiplier < 2 or steps * clock_hz <= MAX_RATE_PPS * 8192 * multiplier:
@@ -214,7 +217,7 @@ def _lint_rate(chip: Any, clock_hz: int, value: int) -> Iterator[Finding]:
     )
 
 
-def _lint_start(chip: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
+def _lint_start(chip: Any, predictions: EffectPredictors, value: int) -> Iterator[Finding]:
     """Check a start command while no run is in progress."""
     registers = [int(v) for v in chip["reg"]]
     obstacles = list(_find_obstacles(chip, registers, predictions, value))
@@ -225,7 +228,7 @@ def _lint_start(chip: Any, predictions: Predictions, value: int) -> Iterator[Fin
         yield from _lint_triangle(chip, registers, value, predictions)
 
 
-def _find_obstacles(chip: Any, registers: list[int], predictions: Predictions, value: int) -> Iterator[Finding]:
+def _find_obstacles(chip: Any, registers: list[int], predictions: EffectPredictors, value: int) -> Iterator[Finding]:
     """Find the obstacles that keep a start command from making pulses, or that end the pulses at speed 0.
 
     Ramps start from FL, and a decelerating stop ends at FL, whatever speed is selected, so R1 must not be 0.
@@ -243,10 +246,10 @@ def _find_obstacles(chip: Any, registers: list[int], predictions: Predictions, v
         logic = ", or clear R13 bit 23, which reads a high pin as ORG" if registers[R13] & ORG_POSITIVE else ""
         yield STARTS_ON_ORG, f"origin return that starts on ORG: no pulse comes; leave ORG first{logic}"
     if chip["multiplier"] < 2:
-        place = "R7 of the chip at SYNI" if chip["inputs"] >> SYNI else "R7"
+        place = "R7 of the chip at SYNI" if chip["inputs"] >> SYNI_SHIFT else "R7"
         why = "no pulse comes; the multiplier does not operate unless it is set"
         yield NO_MULTIPLIER, f"start with {place} = {chip['multiplier']}: {why}"
-    if zero := [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if registers[k] == 0]:
+    if zero := [k for k in sorted({1, _FH_REGISTER_BY_SPEED.get(value & SPEED, 1)}) if registers[k] == 0]:
         message = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "
         message += (
             "the pulses end where a ramp leads to speed 0" if predictions.makes_pulses(value) else "no pulse comes"
@@ -270,9 +273,12 @@ def _lint_registers(chip: Any, registers: list[int], value: int) -> Iterator[Fin
         yield EZ_NOT_SELECTED, "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG"
 
 
-def _lint_triangle(chip: Any, registers: list[int], value: int, predictions: Predictions) -> Iterator[Finding]:
+def _lint_triangle(chip: Any, registers: list[int], value: int, predictions: EffectPredictors) -> Iterator[Finding]:
     """Find an S-curve move that is too short for its FH, which the chip does not correct, and which stops above FL."""
-    fh, corrected = _FH.get(value & SPEED), chip["automatic_ramp_down"] and not registers[R14] & UNCORRECTED
+    fh, corrected = (
+        _FH_REGISTER_BY_SPEED.get(value & SPEED),
+        chip["automatic_ramp_down"] and not registers[R14] & UNCORRECTED,
+    )
     if (
         not fh
         or not chip["s_curves"]
@@ -292,7 +298,9 @@ def _lint_triangle(chip: Any, registers: list[int], value: int, predictions: Pre
     if registers[0] * 32768 * multiplier > (registers[1] + registers[fh]) * ramps:
         return
     last = predictions.predict_last_speed(value)
-    allowed = min(_compute_steps_of_phase(LAST_PULSES * 8192 * multiplier, registers[1], rate, down), height / 10)
+    allowed = min(
+        _compute_steps_above_fl(MISSING_PULSES_THRESHOLD * 8192 * multiplier, registers[1], rate, down), height / 10
+    )
     if last is None or last - registers[1] <= allowed:
         return
     last_pps, fl_pps = (k * predictions.clock_hz / (8192 * multiplier) for k in (last, registers[1]))
@@ -303,7 +311,7 @@ def _lint_triangle(chip: Any, registers: list[int], value: int, predictions: Pre
     yield MOVE_TOO_SHORT, f"{message}it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps"
 
 
-def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> float:
+def _compute_steps_above_fl(phase: float, fl: int, rate: int, span: float) -> float:
     """Compute how far above FL an S-curve down to FL is when the phase that remains up to its end has a given value.
 
     At k speed steps above FL the ramp still takes rate sqrt(k span) clocks, at a mean speed of FL + k / 3.
@@ -326,7 +334,7 @@ def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> fl
 
 def _lint_ramps(chip: Any, registers: list[int], speed_select: int) -> Iterator[Finding]:
     """Find contradictions about the ramps of a high-speed start."""
-    fh, extended = _FH.get(speed_select), bool(chip["extended"])
+    fh, extended = _FH_REGISTER_BY_SPEED.get(speed_select), bool(chip["extended"])
     if extended and fh and registers[1] > registers[fh]:
         yield FL_ABOVE_FH, f"R1 = {registers[1]} is above R{fh} = {registers[fh]}: the ramp leads down to FH"
     if extended and chip["automatic_ramp_down"] and not chip["preset"]:

@@ -17,7 +17,7 @@ from stage.chips.register_map import Field, Register, RegisterMap, Word
 
 OPERATE, CONTROL, SELECT, OUTPUT = 0x00, 0x40, 0x80, 0xC0
 """Kinds of commands at address 0, by their two highest bits (data sheet section 3)."""
-WRITTEN = {OPERATE: "operate", CONTROL: "control", SELECT: "select", OUTPUT: "output"}
+COMMAND_WORD_NAMES = {OPERATE: "operate", CONTROL: "control", SELECT: "select", OUTPUT: "output"}
 """Name of the command word for each kind of command at address 0."""
 COUNTERS = ("R0", "R10")
 """Registers that count by themselves."""

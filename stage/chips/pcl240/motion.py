@@ -22,7 +22,7 @@ from stage.chips.pcl240.bus import is_blocked
 from stage.chips.pcl240.ramp import (
     NEVER,
     compute_ramp_down_margin,
-    count_ticks_to_step,
+    count_clocks_to_speed_step,
     find_goal_speed,
     finish_step,
     is_ramp_down_automatic,
@@ -31,7 +31,7 @@ from stage.chips.pcl240.ramp import (
 )
 from stage.native import array_at, exported, greatest, hot, least
 
-FOREVER = 1 << 62
+NEVER_CLOCK = 1 << 62
 
 
 @hot
@@ -109,7 +109,7 @@ def run_to_event(chip, ticks):
     ):  # a stop has its own tick, so that `scan` sees the edge of HOLD there and not after the idle ones
         return _finish_pulse(chip, 1 if ran else ticks)
     goal = find_goal_speed(chip)
-    s = count_ticks_to_step(chip, goal)
+    s = count_clocks_to_speed_step(chip, goal)
     counts_output = not chip.output_mode & state.EXTERNAL
     if s == NEVER and not chip.passed_org and (not chip.uses_ramps or chip.speed == goal):
         chip.quiet_until = _find_next_event(chip, counts_output)
@@ -137,7 +137,7 @@ def run_to_event(chip, ticks):
     if chip.quiet_until < chip.clock:
         chip.quiet_until = 0  # over: what is left of it must not tell how time was cut
     if pulses:
-        _count_pulses(chip, pulses, counts_output)
+        _add_pulses(chip, pulses, counts_output)
         if chip.preset and chip.reg[0] == 0:
             state.stop_run(chip)
             return s
@@ -176,7 +176,7 @@ def _find_next_event(chip, counts_output):
     """
     left = _count_pulses_to_event(chip, counts_output)
     if left == NEVER or chip.speed == 0 or chip.multiplier < 2:
-        return FOREVER
+        return NEVER_CLOCK
     return chip.clock + (left * 8192 * chip.multiplier - chip.phase - 1) // chip.speed
 
 
@@ -196,7 +196,7 @@ def _run_at_constant_speed(chip, until):
     if pulses or chip.pout_low:
         chip.pout_low = 1 if 2 * ahead < m else 0
     if pulses:
-        _count_pulses(chip, pulses, not chip.output_mode & state.EXTERNAL)
+        _add_pulses(chip, pulses, not chip.output_mode & state.EXTERNAL)
 
 
 @hot
@@ -313,11 +313,11 @@ def _run_ramp_steps(chip, until):
     if begun or (chip.pout_low and moved):
         chip.pout_low = 1 if 2 * phase < m else 0
     if begun:
-        _count_pulses(chip, begun, counts_output)
+        _add_pulses(chip, begun, counts_output)
 
 
 @hot
-def _count_pulses(chip, pulses, counts_output):
+def _add_pulses(chip, pulses, counts_output):
     """Add pulses that have begun to the counters of the PCL-240.
 
     Args:

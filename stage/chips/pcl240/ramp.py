@@ -196,7 +196,7 @@ def _compute_fdown_tail(chip):
 
 
 @hot
-def count_ticks_to_step(chip, goal_speed):
+def count_clocks_to_speed_step(chip, goal_speed):
     """Count the clocks up to the next one in which `update_speed` may change the state.
 
     Args:

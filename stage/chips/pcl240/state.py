@@ -12,8 +12,8 @@ from stage.chips.pcl240.maps import PCL240MS_MAP as MAP
 from stage.native import greatest, hot, least, record
 
 REGISTERS = len(MAP.registers)
-_PLACES = {r.name: k for k, r in enumerate(MAP.registers)}
-R10, R12, R13, R14, R15, R17 = (_PLACES[name] for name in ("R10", "R12", "R13", "R14", "R15", "R17"))
+_REGISTER_INDICES = {r.name: k for k, r in enumerate(MAP.registers)}
+R10, R12, R13, R14, R15, R17 = (_REGISTER_INDICES[name] for name in ("R10", "R12", "R13", "R14", "R15", "R17"))
 """Indices in `reg`: R0 to R7 under their own numbers, then R10 to R17 (octal numbers)."""
 COUNTER_MASK = MAP.register("R0").mask
 
@@ -135,9 +135,9 @@ OUTPUTS = {
     "zero": ZERO,
     "irq": IRQ,
 }
-SYNI = WIRE_BIT
+SYNI_SHIFT = WIRE_BIT
 """From this bit on `inputs` holds R7 of the leader plus 1; 0 while SYNI is not connected."""
-ALL_INPUTS = (1 << SYNI) - 1
+ALL_INPUTS = (1 << SYNI_SHIFT) - 1
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
 EDGE = record(
     [
@@ -164,7 +164,7 @@ def reset_chip(chip):
     chip.selected_register = chip.output_mode = chip.collective = chip.high_byte = chip.middle_byte = (
         chip.read_latch
     ) = 0
-    begin_run(chip)
+    clear_run_state(chip)
     for k in range(REGISTERS):
         chip.reg[k] = 0
     update_active_inputs(chip)
@@ -175,12 +175,12 @@ def update_active_inputs(chip):
     """Update `active_inputs` and `multiplier` after a change of the pins, of R7, or of the bits that invert pins."""
     turned = (ORG if chip.reg[R13] & ORG_POSITIVE else 0) | (EZ if chip.reg[R12] & EZ_POSITIVE else 0)
     chip.active_inputs = (chip.inputs & ALL_INPUTS) ^ turned
-    chip.multiplier = (chip.inputs >> SYNI) - 1 if chip.inputs >> SYNI else chip.reg[7]
+    chip.multiplier = (chip.inputs >> SYNI_SHIFT) - 1 if chip.inputs >> SYNI_SHIFT else chip.reg[7]
     chip.phase = least(chip.phase, greatest(8192 * chip.multiplier - 1, 0))
 
 
 @hot
-def begin_run(chip):
+def clear_run_state(chip):
     """Clear the state that a run of the PCL-240 does not take over from the run before it."""
     chip.phase = chip.ramp_clocks = chip.ramp_direction = chip.curved_ramp = chip.fdown_end = 0
     chip.speed_rising = chip.rise_pulses = chip.automatic_off = chip.ramp_down_due = chip.corrected_speed = (

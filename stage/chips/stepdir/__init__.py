@@ -17,11 +17,11 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip
 from stage.chips.stepdir import core
 from stage.chips.stepdir.cycle_descriptions import CycleDescriber, Decoder
-from stage.chips.stepdir.line_names import DRIVEN, READ, Line
+from stage.chips.stepdir.line_names import DRIVEN_LINE_PINS, READ_LINE_PINS, Line
 from stage.chips.stepdir.lint import TIMES as TIME_RULES
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
-from stage.chips.stepdir.state import ENABLE, TIMES
+from stage.chips.stepdir.state import EDGE_TIME_COUNT, ENABLE
 from stage.chips.stepdir.step_timer import GO, MINUS
 from stage.chips.write_diagnostics import Diagnostic
 from stage.errors import find_similar_names
@@ -70,7 +70,7 @@ class STEPDIR(Chip):
         """
         diagnostics = super().diagnostics
         c = self.state
-        for which in range(TIMES):
+        for which in range(EDGE_TIME_COUNT):
             if c["violations"][which]:
                 observed_s, required_s = (int(c[name][which]) / self.clock_hz for name in ("shortest", "required"))
                 finding = describe_violation(which, observed_s, required_s, self.power_stage, bool(c["drops_edges"]))
@@ -78,7 +78,7 @@ class STEPDIR(Chip):
         return diagnostics
 
     def count_edges_of(self, diagnostic: Diagnostic) -> int:
-        keys = [TIME_RULES[which][0].key for which in range(TIMES)]
+        keys = [TIME_RULES[which][0].key for which in range(EDGE_TIME_COUNT)]
         return int(self.state["violations"][keys.index(diagnostic.key)]) if diagnostic.key in keys else 0
 
     @classmethod
@@ -116,10 +116,13 @@ class STEPDIR(Chip):
         return ""
 
     def _explain_unknown_attribute(self, name: str) -> str:
-        lines = ", ".join(DRIVEN)
-        similar = find_similar_names(name, DRIVEN | READ)
+        lines = ", ".join(DRIVEN_LINE_PINS)
+        similar = find_similar_names(name, DRIVEN_LINE_PINS | READ_LINE_PINS)
         hint = f" Did you mean {similar[0]}?" if similar else ""
-        return f"The STEPDIR has no attribute {name!r}.{hint} Lines that a host drives: {lines}; that it reads: {', '.join(READ)}."
+        return (
+            f"The STEPDIR has no attribute {name!r}.{hint} Lines that a host drives: {lines}; that it reads: "
+            f"{', '.join(READ_LINE_PINS)}."
+        )
 
     def explain_missing_current(self, axis: int = 0) -> str:
         self._check_axis(axis)

@@ -11,7 +11,7 @@ import sys
 
 from stage.chips.event_loop import EDGE, PULSE, make_event_functions
 from stage.chips.stepdir import step_timer
-from stage.chips.stepdir.core_functions import get_marked_change, make_line_functions
+from stage.chips.stepdir.core_functions import get_min_rate_change, make_line_functions
 from stage.chips.stepdir.state import ENABLE, INPUTS, OUTPUTS, STATE, STEP
 from stage.chips.stepdir.step_edges import apply_line_levels, compute_mean_count
 from stage.native import exported, hot
@@ -95,5 +95,5 @@ def _get_direction(chip):
 
 read_outputs, read_status, is_busy, read_counter, set_shaft = make_line_functions(sys.modules[__name__])
 run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_event_functions(
-    sys.modules[__name__], step_timer.advance_to_event, _count_steps, _get_direction, get_marked_change
+    sys.modules[__name__], step_timer.advance_to_event, _count_steps, _get_direction, get_min_rate_change
 )

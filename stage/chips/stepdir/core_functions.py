@@ -14,14 +14,14 @@ from stage.chips.stepdir import step_timer
 from stage.chips.stepdir.state import RATE
 from stage.native import greatest, hot, least
 
-MARKED_CHANGE = 0.01
+MIN_RATE_CHANGE_SHARE = 0.01
 """Smallest change of the rate between two EDGE records, as a share of RATE."""
 
 
 @hot
-def get_marked_change(chip):
+def get_min_rate_change(chip):
     """Return the smallest change of the rate for which an EDGE record is written, steps per clock."""
-    return MARKED_CHANGE * chip.reg[RATE] / chip.hz
+    return MIN_RATE_CHANGE_SHARE * chip.reg[RATE] / chip.hz
 
 
 def make_line_functions(core: Any) -> tuple[Any, ...]:
@@ -101,4 +101,6 @@ def make_power_stage_functions(
             process_chip_event(chip)
         return True
 
-    return make_event_functions(core, advance_to_event, count_moves, get_direction, get_marked_change, answered_inputs)
+    return make_event_functions(
+        core, advance_to_event, count_moves, get_direction, get_min_rate_change, answered_inputs
+    )

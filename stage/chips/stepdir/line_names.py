@@ -9,11 +9,11 @@ from stage.errors import ArgumentError, StageError
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
 
-DRIVEN = {"step": ("step",), "dir": ("dir",), "enable": ("enable",)}
+DRIVEN_LINE_PINS = {"step": ("step",), "dir": ("dir",), "enable": ("enable",)}
 """Lines that a host drives -> input pins of the axis."""
 POWER_STAGE_OUTPUTS = ("diag", "diag0", "diag1", "index")
 """Lines that only axes have whose power stage has such outputs."""
-READ = {
+READ_LINE_PINS = {
     "limit": ("el_plus", "el_minus"), "limit_plus": ("el_plus",), "limit_minus": ("el_minus",), "origin": ("org",),
     "probe": ("probe",), **{name: (name,) for name in POWER_STAGE_OUTPUTS},
 }  # fmt: skip
@@ -22,14 +22,14 @@ READ = {
 
 def has_line(chip: Chip, name: str) -> bool:
     """Return whether a chip is a STEP/DIR axis with this line."""
-    return all(pin in chip.INPUTS for pin in ("step", *(DRIVEN | READ)[name]))
+    return all(pin in chip.INPUTS for pin in ("step", *(DRIVEN_LINE_PINS | READ_LINE_PINS)[name]))
 
 
 class Line:
     """Descriptor of a line as an attribute of the chip: True while the line is asserted. A line that a host drives can be set."""
 
     def __init__(self, name: str):
-        self._name, self._pins = name, (DRIVEN | READ)[name]
+        self._name, self._pins = name, (DRIVEN_LINE_PINS | READ_LINE_PINS)[name]
         self.__doc__ = f"Line `{name}`, True while it is asserted: pin {' or '.join(self._pins)}."
 
     def __get__(self, chip: Chip | None, owner: type | None = None) -> Any:
@@ -38,7 +38,7 @@ class Line:
         return any(getattr(chip.pins, pin) for pin in self._pins)
 
     def __set__(self, chip: Chip, is_asserted: bool) -> None:
-        if self._name not in DRIVEN:
+        if self._name not in DRIVEN_LINE_PINS:
             pins = " and ".join(f"pins.{pin}" for pin in self._pins)
             raise StageError(f"{self._name} is driven by the stage and can only be read; {pins} can be set for a test.")
         if is_asserted not in (False, True):  # a text such as "minus" would count as asserted

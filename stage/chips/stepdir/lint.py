@@ -32,7 +32,7 @@ DIR_SETUP_TIME = Rule("dir-setup-time", "timing", once=True)
 DIR_HOLD_TIME = Rule("dir-hold-time", "timing", once=True)
 ENABLE_SETUP_TIME = Rule("enable-setup-time", "timing", once=True)
 
-NUMBERS = {r.number: r for r in MAP.registers}
+REGISTERS_BY_NUMBER = {r.number: r for r in MAP.registers}
 TIMES: dict[int, tuple[Rule, str]] = {
     STEP_HIGH: (STEP_HIGH_TIME, "STEP was high for {time}"),
     STEP_LOW: (STEP_LOW_TIME, "STEP was low for {time} before an edge"),
@@ -53,8 +53,8 @@ def lint_write(chip: Any, address: int, value: int) -> Iterator[Finding]:
     """
     if address == POSITION:
         yield READ_ONLY, "POSITION can only be read"
-    elif address in NUMBERS:
-        register = NUMBERS[address]
+    elif address in REGISTERS_BY_NUMBER:
+        register = REGISTERS_BY_NUMBER[address]
         if not register.allows(value):
             low, high = register.range
             yield VALUE_RANGE, f"{register.name} takes {low} to {high} {register.unit}"

@@ -20,7 +20,7 @@ OUTPUTS = {"busy": BUSY, "up": UP, "down": DOWN}
 
 STEP_HIGH, STEP_LOW, DIR_SETUP, DIR_HOLD, ENABLE_SETUP = range(5)
 """Places of the times that a power stage demands."""
-TIMES = 5
+EDGE_TIME_COUNT = 5
 NEVER = 1 << 62
 HISTORY = 16
 """Accepted edges that are remembered, for the mean count of a slice of a physics step."""
@@ -44,13 +44,13 @@ STATE = record(
         ("turned", "i8"),  # clock of the last change of DIR
         ("enabled", "i8"),  # clock at which ENABLE was asserted last
         # what the power stage is
-        ("required", "i8", (TIMES,)),  # shortest allowed times, clocks
+        ("required", "i8", (EDGE_TIME_COUNT,)),  # shortest allowed times, clocks
         ("drops_edges", "i8"),  # an edge that comes too early is lost
         ("counts_disabled", "i8"),  # steps are counted while ENABLE is not asserted
         ("amplitude", "f8"),  # of the phase current while ENABLE is asserted, A
-        ("violations", "i8", (TIMES,)),  # number of times that were too short
-        ("shortest", "i8", (TIMES,)),  # shortest of them, clocks
-        ("first_violation", "i8", (TIMES,)),  # clock of the first of them
+        ("violations", "i8", (EDGE_TIME_COUNT,)),  # number of times that were too short
+        ("shortest", "i8", (EDGE_TIME_COUNT,)),  # shortest of them, clocks
+        ("first_violation", "i8", (EDGE_TIME_COUNT,)),  # clock of the first of them
         # the step timer
         ("reg", "i8", (REGISTERS,)),  # registers at their addresses
         ("control", "i8"),  # control word of the move in progress, or of the last one

@@ -11,6 +11,7 @@ from stage.chips.stepdir.state import (
     BUSY,
     DIR,
     DOWN,
+    EDGE_TIME_COUNT,
     EL_MINUS,
     EL_PLUS,
     EVENTS,
@@ -22,7 +23,6 @@ from stage.chips.stepdir.state import (
     REGISTERS,
     STEP,
     STEPS,
-    TIMES,
     UP,
 )
 from stage.chips.stepdir.step_edges import apply_line_levels, measure_step_rate, to_clocks
@@ -38,7 +38,7 @@ from stage.native import greatest, hot, least
 GO, MINUS, CONTINUOUS, UNTIL_ORG, SLOW, AT_ONCE = MAP.masks(
     "control", "start", "minus", "continuous", "until_org", "ramp_down", "at_once"
 )
-END = MAP.field("status", "end").low
+END_REASON_SHIFT = MAP.field("status", "end").low
 ALL_STEPS, END_EL_PLUS, END_EL_MINUS, END_ORG, STOPPED = 1, 2, 3, 4, 5
 PINS_SHIFT = MAP.field("status", "plus_limit").low
 HIGH_NS = MAP.register("HIGH").reset
@@ -152,7 +152,7 @@ def clear(chip):
     """Clear the registers, the step timer and the violations. The host and the stage keep driving lines and switches."""
     for k in range(REGISTERS):
         chip.reg[k] = 0
-    for k in range(TIMES):
+    for k in range(EDGE_TIME_COUNT):
         chip.violations[k] = chip.shortest[k] = chip.first_violation[k] = 0
     chip.reg[HIGH] = HIGH_NS
     chip.origin = chip.net
@@ -188,7 +188,7 @@ def compute_output_pins(chip):
 def compute_status(chip):
     """Return the status word."""
     pins = chip.inputs // EL_PLUS & 0xF
-    return (1 if chip.running else 0) | pins << PINS_SHIFT | chip.end_reason << END
+    return (1 if chip.running else 0) | pins << PINS_SHIFT | chip.end_reason << END_REASON_SHIFT
 
 
 @hot

@@ -15,7 +15,7 @@ from stage.chips.stepdir.state import CURVED, NEVER, RAMP_DOWN, RAMP_UP, RATE, S
 from stage.chips.stepdir.step_edges import to_clocks
 from stage.native import greatest, hot
 
-SOLVED_S = 1e-11
+TIME_TOLERANCE_S = 1e-11
 """Seconds; the time of a step on a curve is computed up to this error."""
 MAX_ITERATIONS = 60
 MAX_PERIOD_S = 1e6
@@ -175,7 +175,7 @@ def _compute_time_at_constant_jerk(distance, rate, acceleration, jerk, seconds):
         better = s - error / slope if slope > 0.0 else low
         if not low < better < high:
             better = 0.5 * (low + high)
-        if abs(better - s) < SOLVED_S:
+        if abs(better - s) < TIME_TOLERANCE_S:
             return better
         s = better
     return s

@@ -26,7 +26,7 @@ def draw_demonstration(result: DemoResult, path: str | None, overwrite: bool) ->
     figure = plot_style.make_figure(9, 5.2)
     panels = figure.subplots(2, 1, sharex=True)
     begins = [n.time for n in result.recordings[1].fault_changes if n.text.endswith("begins")][:1]
-    limits = _find_limits(result, begins)
+    limits = _find_time_limits(result, begins)
     for panel, column in zip(panels, result.demo.draws, strict=True):
         unit = _find_unit(column)
         if unit is None:
@@ -93,7 +93,7 @@ def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray,
     return recording.began + waveform.seconds, values, True
 
 
-def _find_limits(result: DemoResult, begins: list[float]) -> tuple[float, float] | None:
+def _find_time_limits(result: DemoResult, begins: list[float]) -> tuple[float, float] | None:
     """Return the times, s, at which the picture begins and ends; None: the whole run.
 
     Args:

@@ -18,25 +18,25 @@ from stage.errors import unknown_name_error
 from stage.firmware.driver import get_driver
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
-Figures = dict[str, Any]
+MeasuredValues = dict[str, Any]
 MakeFault = Callable[..., AbstractContextManager]
 """Called with a function of `stage.faults` and its arguments: makes the fault on the faulty stage, nothing on the healthy one."""
-Record = Callable[[Any], AbstractContextManager]
+RecordingFactory = Callable[[Any], AbstractContextManager]
 """Context manager of the recording of a stage, or of None."""
 
 SCREW_M = 10e-3
 """Travel per turn of the motor to which claims in millimeters refer."""
-LIMITS = ("EL+", "EL-", "timeout")
+UNFINISHED_STOP_REASONS = ("EL+", "EL-", "timeout")
 HYSTERESIS_UM = 28.0  # 25 of a switch, and a pulse
 
 
 @dataclass(frozen=True)
-class Claim:
+class ServoClaim:
     """Claim of a demonstration about a servo, if it differs from that about a stepper; for the attributes see `Demo`."""
 
     claim: str
     notice: str
-    happened: Callable[[Figures, Figures], bool]
+    happened: Callable[[MeasuredValues, MeasuredValues], bool]
     draws: tuple[str, str] = ("position", "following_error")
 
 
@@ -57,11 +57,11 @@ class Demo:
 
     claim: str
     notice: str
-    program: Callable[[Any, MakeFault], Figures]
-    happened: Callable[[Figures, Figures], bool]
+    program: Callable[[Any, MakeFault], MeasuredValues]
+    happened: Callable[[MeasuredValues, MeasuredValues], bool]
     draws: tuple[str, str] = ("position", "lost_steps")
     close_up: tuple[float, float] | None = None
-    servo: Claim | None = None
+    servo: ServoClaim | None = None
 
     def for_servo(self) -> Demo:
         """Return the demonstration with its claim about servos."""
@@ -83,7 +83,7 @@ class DemoResult:
 
     name: str
     demo: Demo
-    figures: tuple[Figures, Figures]
+    figures: tuple[MeasuredValues, MeasuredValues]
     recordings: tuple[Any, Any] = field(repr=False)
     unit: str = "m"
     turn: float = SCREW_M
@@ -93,13 +93,13 @@ class DemoResult:
         """Verdict of the demonstration: the claim has come true."""
         return self.demo.happened(*map(self._scale_to_reference_screw, self.figures))
 
-    def _scale_to_reference_screw(self, figures: Figures) -> Figures:
+    def _scale_to_reference_screw(self, figures: MeasuredValues) -> MeasuredValues:
         """Scale lengths to an axis that moves SCREW_M per turn of its motor, for which the claims are written."""
         return {k: v * SCREW_M / self.turn if k.endswith(", mm") else v for k, v in figures.items()}
 
     def format_table(self) -> str:
         """Return the measured values of both runs, a line for each."""
-        return format_figures(("", "healthy", "faulty"), self.figures, self.unit)
+        return format_measured_values(("", "healthy", "faulty"), self.figures, self.unit)
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Draw both runs over time, and return the figure. Needs recordings, and matplotlib."""
@@ -108,7 +108,9 @@ class DemoResult:
         return draw_demonstration(self, path, overwrite)
 
 
-def format_figures(head: tuple[str, str, str], figures: tuple[Figures, Figures], unit: str) -> str:
+def format_measured_values(
+    head: tuple[str, str, str], figures: tuple[MeasuredValues, MeasuredValues], unit: str
+) -> str:
     """Return the measured values of two runs as a table, a line for each.
 
     Args:
@@ -117,12 +119,12 @@ def format_figures(head: tuple[str, str, str], figures: tuple[Figures, Figures],
         unit: "m", or "rad": lengths are angles, and the table shows degrees.
     """
     first, second = figures
-    rows = [head, *(_format_figure(name, value, second[name], unit) for name, value in first.items())]
+    rows = [head, *(_format_measured_value(name, value, second[name], unit) for name, value in first.items())]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join("  ".join(v.ljust(w) for v, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
-def _format_figure(name: str, first: Any, second: Any, unit: str) -> tuple[str, ...]:
+def _format_measured_value(name: str, first: Any, second: Any, unit: str) -> tuple[str, ...]:
     title, comma, scale = name.rpartition(", ")
     units = {"mm": POSITION_UNITS, "um": DEVIATION_UNITS}.get(scale) if comma else None
     if units is not None:
@@ -140,7 +142,7 @@ def find_demonstration_key(name: str) -> str:
 
 
 def run_demonstration(
-    name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False
+    name: str, make: Callable[[], Any], record: RecordingFactory | None = None, record_both: bool = False
 ) -> DemoResult:
     """Run a demonstration on two stages, the healthy one first.
 
@@ -170,9 +172,9 @@ def run_demonstration(
     return DemoResult(key, demo, (healthy, faulty), (healthy_recording, faulty_recording), axis.unit, turn)
 
 
-def has_arrived(figures: Figures) -> bool:
+def has_arrived(figures: MeasuredValues) -> bool:
     """Return whether the chip has completed its move."""
-    return figures["stopped by"] not in LIMITS
+    return figures["stopped by"] not in UNFINISHED_STOP_REASONS
 
 
 DEMOS = {
@@ -183,7 +185,7 @@ DEMOS = {
         host_programs.run_into_stuck_open_limit,
         lambda h, f: h["stopped by"] == "EL+" and h["lost steps"] == 0
         and has_arrived(f) and f["lost steps"] > 0 and f["lost steps"] % 4 == 0,
-        servo=Claim(
+        servo=ServoClaim(
             "EL+ is stuck open: the chip never stops, the carriage hits the hard stop, and the motor pushes against it.",
             "At once: the actual position stays constant, and the command position moves away from it.",
             lambda h, f: h["stopped by"] == "EL+" and has_arrived(f) and f["beyond EL+, mm"] < 10 < f["behind at the end, mm"],
@@ -197,7 +199,7 @@ DEMOS = {
         host_programs.move_with_stuck_closed_limit,
         lambda h, f: has_arrived(h) and f["stopped by"] == "EL+" and f["before EL+, mm"] > 10 and f["lost steps"] < 0,
         ("position", "rate"),
-        servo=Claim(
+        servo=ServoClaim(
             "EL+ sticks closed during a move: the chip sets its motor command to zero at once, and the carriage coasts.",
             "At once: the chip is in Init/Idle with LIMIT in its status, where there is no end limit. The position is "
             "still known.",
@@ -227,7 +229,7 @@ DEMOS = {
         "During the move, it cannot: the chip only counts pulses. An origin return afterwards reveals it.",
         host_programs.move_with_heavy_payload,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
-        servo=Claim(
+        servo=ServoClaim(
             "The payload weighs 20 kg instead of 10 kg: the same loop follows the ramps less closely, but the axis "
             "still arrives.",
             "By comparing the command position with the actual position in each sample. No count is lost.",
@@ -240,7 +242,7 @@ DEMOS = {
         "During the move, it cannot: the chip only counts pulses. An origin return afterwards reveals it.",
         host_programs.move_with_falling_supply,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
-        servo=Claim(
+        servo=ServoClaim(
             "The supply falls from 24 V to 8 V at speed: the motor has a third of its force, lags behind, and arrives.",
             "By comparing the command position with the actual position in each sample. No count is lost.",
             lambda h, f: has_arrived(f) and f["behind at most, mm"] > 2 * h["behind at most, mm"]
@@ -254,7 +256,7 @@ DEMOS = {
         host_programs.move_with_jam,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and abs(f["on from 0.5 s, mm"]) < 0.2
         and f["pulses made"] == h["pulses made"],
-        servo=Claim(
+        servo=ServoClaim(
             "The axis jams during a move: the carriage almost stops, the motor pushes with full force, and the "
             "command position advances.",
             "At once: the actual position stays constant, and the command position moves away from it. "
@@ -276,7 +278,7 @@ DEMOS = {
     "start-skew": Demo(
         "The CPU is busy for 5 ms between two start commands of an a:b move: both axes arrive, but leave the line in between.",
         "By measuring the time between the start commands. Both axes make all their pulses, and their status is normal.",
-        host_programs.start_skew,
+        host_programs.move_line_with_start_skew,
         lambda h, f: h["done"] == f["done"] == "yes" and abs(f["started within, ms"] - 5) < 0.1
         and f["off the line, pulses"] > 10 * h["off the line, pulses"],
         ("position", "rate"),
@@ -288,7 +290,7 @@ DEMOS = {
         host_programs.move_with_lost_write,
         lambda h, f: h["pulses made"] == h["asked"] != f["pulses made"] and has_arrived(f),
         ("position", "pulses"),
-        servo=Claim(
+        servo=ServoClaim(
             "A byte of the final position does not arrive: the chip moves to the position in its registers instead of "
             "the requested one.",
             "By reading the final position back before the start. Afterwards, the status is that of a good move.",

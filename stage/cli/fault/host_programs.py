@@ -15,7 +15,7 @@ from stage.errors import StageError, add_article
 from stage.firmware.driver import Speeds, get_driver
 
 if TYPE_CHECKING:
-    from stage.cli.fault.demonstrations import Figures, MakeFault
+    from stage.cli.fault.demonstrations import MakeFault, MeasuredValues
 
 START_TURNS_PER_S = 0.3125  # 1000 pps
 BOUNCE_S = 3e-3
@@ -27,7 +27,7 @@ def get_first_axis(stage: Any) -> Any:
     return next(iter(stage.axes.values()))
 
 
-def find_touch(axis: Any, pin: str) -> float:
+def find_switch_position(axis: Any, pin: str) -> float:
     """Return the position at which an axis trips a switch, m.
 
     Raises:
@@ -64,7 +64,7 @@ def make_speeds(axis: Any, drive: float, ramp: float, start: float = START_TURNS
     return Speeds(start * turn, drive * turn, ramp, ramp)
 
 
-def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]:
+def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], MeasuredValues]:
     """Start a move, and return a function that waits for its end and returns the measured values.
 
     Args:
@@ -82,7 +82,7 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
         nonlocal worst
         worst = max(worst, abs(axis.commanded - axis.position))
 
-    def finish() -> Figures:
+    def finish() -> MeasuredValues:
         """Wait for the end of the move and for the motor to settle; return the measured values."""
         stopped_by = driver.wait(TIMEOUT_S, measure_error if servo else None)
         lag = axis.commanded - axis.position
@@ -99,28 +99,30 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
     return finish
 
 
-def run_into_stuck_open_limit(stage: Any, make_fault: MakeFault) -> Figures:
+def run_into_stuck_open_limit(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Move into EL+, which is stuck open."""
     x = get_first_axis(stage)
-    stage.place(**{x.name: find_touch(x, "el_plus") - 0.010})
+    stage.place(**{x.name: find_switch_position(x, "el_plus") - 0.010})
     with make_fault(faults.switch_stuck, x, "el_plus", False):
-        return start_move(x, 5, 3.125, 0.05)() | {"beyond EL+, mm": (x.position - find_touch(x, "el_plus")) * 1e3}
+        return start_move(x, 5, 3.125, 0.05)() | {
+            "beyond EL+, mm": (x.position - find_switch_position(x, "el_plus")) * 1e3
+        }
 
 
-def move_with_stuck_closed_limit(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_stuck_closed_limit(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Make a move during which EL+ sticks closed."""
     x = get_first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
     x.wait(0.5)
     with make_fault(faults.switch_stuck, x, "el_plus", True):
-        return finish() | {"before EL+, mm": (find_touch(x, "el_plus") - x.position) * 1e3}
+        return finish() | {"before EL+, mm": (find_switch_position(x, "el_plus") - x.position) * 1e3}
 
 
-def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> Figures:
+def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Home while the contact of ORG bounces."""
     x = get_first_axis(stage)
     with make_fault(faults.bounce, x, "org", BOUNCE_S):
-        stage.place(**{x.name: find_touch(x, "org") + 0.002})
+        stage.place(**{x.name: find_switch_position(x, "org") + 0.002})
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
     waveform = report.waveforms
     org, time = waveform.edges["inputs"] & x.chip.find_switch_input("org") != 0, waveform.seconds
@@ -135,7 +137,7 @@ def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> Figures:
     }
 
 
-def home_without_vane(stage: Any, make_fault: MakeFault) -> Figures:
+def home_without_vane(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Home while ORG's vane is missing."""
     x = get_first_axis(stage)
     with make_fault(faults.vane_missing, x, "org"):
@@ -143,12 +145,12 @@ def home_without_vane(stage: Any, make_fault: MakeFault) -> Figures:
         return {
             "stopped by": report.stopped_by,
             "pulses made": report.pulses,
-            "past ORG, mm": (find_touch(x, "org") - x.position) * 1e3,
+            "past ORG, mm": (find_switch_position(x, "org") - x.position) * 1e3,
             "lost steps": report.lost_steps,
         }
 
 
-def move_with_heavy_payload(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_heavy_payload(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Make a move with a payload of twice the planned mass."""
     x = get_first_axis(stage)
     stage.set_payload(10.0)
@@ -156,7 +158,7 @@ def move_with_heavy_payload(stage: Any, make_fault: MakeFault) -> Figures:
         return {"payload, kg": stage.payload()} | start_move(x, 10, 18.75, 0.046)()
 
 
-def move_with_falling_supply(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_falling_supply(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Make a move during which the supply falls to 8 V."""
     x = get_first_axis(stage)
     finish = start_move(x, 12.5, 18.75, 0.1, 0.46875)
@@ -165,7 +167,7 @@ def move_with_falling_supply(stage: Any, make_fault: MakeFault) -> Figures:
         return finish()
 
 
-def move_with_jam(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_jam(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Make a move during which the axis jams."""
     x = get_first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
@@ -175,7 +177,7 @@ def move_with_jam(stage: Any, make_fault: MakeFault) -> Figures:
         return finish() | {"on from 0.5 s, mm": (x.position - place) * 1e3}
 
 
-def move_with_open_phase(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_open_phase(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Open phase B of the motor before a move from rest, and during a move."""
     x = get_first_axis(stage)
     with make_fault(faults.phase_open, x, "b"):
@@ -187,7 +189,7 @@ def move_with_open_phase(stage: Any, make_fault: MakeFault) -> Figures:
         return figures | {"opened at 6.25 turns/s: lost steps": finish().get("lost steps")}  # a servo: refused
 
 
-def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
+def move_line_with_start_skew(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Draw a line whose two start commands are 5 ms apart."""
     last = get_first_axis(stage)
     other = _find_axis_started_separately(stage, last)
@@ -226,7 +228,7 @@ def _find_axis_started_separately(stage: Any, axis: Any) -> Any:
     )
 
 
-def move_with_lost_write(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_lost_write(stage: Any, make_fault: MakeFault) -> MeasuredValues:
     """Make a move whose write of the distance gets lost on the bus."""
     x = get_first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))

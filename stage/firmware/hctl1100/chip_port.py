@@ -1,7 +1,7 @@
 """`ChipPort`: access to the registers of one axis' HCTL-1100 by name, with bus cycles and waits only.
 
 port = ChipPort(stage.axes["x"])
-port.write_numbers(gain=0x40, zero=0xE5, pole=0x40, timer=0x40)
+port.write_quantities(gain=0x40, zero=0xE5, pole=0x40, timer=0x40)
 port.hold_position()                               position control at the present position of the shaft
 port.write_command_position(port.read_position() + 100)       in the safe part of a sample
 """
@@ -62,16 +62,16 @@ class ChipPort:
         self.axis, self.chip, self.t = axis, axis.chip, find_reset_value("timer")
 
     @property
-    def count(self) -> float:
+    def timer_count_s(self) -> float:
         """Duration of one count of the HCTL-1100's sample timer, s."""
         return 16 / self.chip.clock_hz
 
     @property
     def sample(self) -> float:
         """Sample time of the HCTL-1100, s: from one execution of its control law to the next."""
-        return self.count * (self.t + 1)
+        return self.timer_count_s * (self.t + 1)
 
-    def write_numbers(self, **values: int) -> None:
+    def write_quantities(self, **values: int) -> None:
         """Write values of the HCTL-1100 by name (NUMBERS of the chip's maps), after a check of all values.
 
         Raises:
@@ -90,7 +90,7 @@ class ChipPort:
 
     def _read(self, number: RegisterQuantity) -> int:
         """Read a signed number from the HCTL-1100's registers, low byte first."""
-        value = sum(self.chip.read(a) << number.shift(a) for a in reversed(number.addresses))
+        value = sum(self.chip.read(a) << number.get_shift(a) for a in reversed(number.addresses))
         return to_signed(value, 8 * len(number.addresses))
 
     def read_position(self) -> int:
@@ -164,18 +164,18 @@ class ChipPort:
     def hold_position(self) -> None:
         """Switch from any mode to position control at the present position.
 
-        The chip ignores this while LIMIT is latched, see `is_limited`.
+        The chip ignores this while LIMIT is latched, see `is_limit_latched`.
         """
         self.enter_init_idle_mode()
         self._set_flags("position")
-        self.write_numbers(command_position=self.read_position())
+        self.write_quantities(command_position=self.read_position())
         self.chip.write(MODE, CONTROL)
 
-    def is_limited(self) -> bool:
+    def is_limit_latched(self) -> bool:
         """Return whether the flag LIMIT is latched; it keeps the chip in the mode Init/Idle."""
         return not self.read_status() & LIMIT
 
-    def wait_for_safe_part(self, mode: str = "position") -> None:
+    def wait_for_safe_part_of_sample(self, mode: str = "position") -> None:
         """Wait for the safe part of a sample: the HCTL-1100 has computed it, and it does not end at once.
 
         Args:
@@ -193,9 +193,9 @@ class ChipPort:
         for _ in range(MAX_TIMER_READS):
             left = self.chip.read(TIMER)
             if self.t - left < least:
-                self.axis.wait((least - self.t + left) * self.count)
+                self.axis.wait((least - self.t + left) * self.timer_count_s)
             elif left < SAFE_MARGIN_COUNTS:
-                self.axis.wait((left + 1 + least) * self.count)
+                self.axis.wait((left + 1 + least) * self.timer_count_s)
             else:
                 return
         raise ArgumentError(
@@ -205,8 +205,8 @@ class ChipPort:
 
     def write_command_position(self, position: int) -> None:
         """Write a new command position, counts, in the safe part of a sample."""
-        self.wait_for_safe_part()
-        self.write_numbers(command_position=position)
+        self.wait_for_safe_part_of_sample()
+        self.write_quantities(command_position=position)
 
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, expected_event: str, poll: float = POLL_INTERVAL_S

@@ -12,13 +12,13 @@ from typing import Any, ClassVar, NoReturn, cast
 
 import numpy as np
 
-from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
+from stage.chips.hctl1100.maps import CLEAR_POSITION_ADDRESS, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, ExceededLimit, RunTimeout
 from stage.firmware import move_plot_signals
 from stage.firmware.axis import get_forward_direction, has_positive_logic
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving_drivers
 from stage.firmware.hctl1100.chip_port import CONTROL, IDLE, LIMIT, MODE_FLAGS, SET_FLAG_BIT, STOP, ChipPort
-from stage.firmware.hctl1100.homing import hold_once_at_rest, home_servo, leave_limit, subtract_origin
+from stage.firmware.hctl1100.homing import hold_once_at_rest, home_servo, leave_limit, set_position_origin
 from stage.firmware.hctl1100.moves import (
     FilterTuning,
     brake_trapezoid,
@@ -94,7 +94,7 @@ class Hctl1100Driver(Driver):
     def _write_counter_register(self, value: int) -> None:
         """Preset the actual position in Init/Idle, then hold it; in the meantime the motor is off for a few bus cycles."""
         was_controlled = bool(self.port.read_control_mode())
-        subtract_origin(self.port, self.port.read_position() - value)
+        set_position_origin(self.port, self.port.read_position() - value)
         if not was_controlled:
             self.port.enter_init_idle_mode()
 
@@ -113,14 +113,14 @@ class Hctl1100Driver(Driver):
         if self.is_driving_mode(mode):
             raise self.build_moving_error()
         if mode:
-            self.port.write_numbers(timer=self.tuning.timer)
+            self.port.write_quantities(timer=self.tuning.timer)
             return self.port
         self.port.enter_init_idle_mode()
         if self.port.clear_status() & LIMIT:
             self.port = set_up_servo(self.axis, self.tuning)
         else:
             load_filter(self.port, self.tuning)
-            self.port.write_numbers(command_position=self.port.read_position())
+            self.port.write_quantities(command_position=self.port.read_position())
         return self.port
 
     def _prepare_for(self, speeds: Speeds) -> ChipPort:
@@ -146,13 +146,13 @@ class Hctl1100Driver(Driver):
         """Return the name of the limit switch that blocks a move in `direction`; "" if the move leads out of the switch."""
         return (
             self._name_triggered_limit(direction)
-            if self.port.is_limited() and self._read_active_limits() != {-direction}
+            if self.port.is_limit_latched() and self._read_active_limits() != {-direction}
             else ""
         )
 
     def _leave_limit(self, direction: int) -> None:
         """Move the axis out of the limit switch on which it stands, if `direction` leads out of it."""
-        if self.port.is_limited() and self._read_active_limits() == {-direction}:
+        if self.port.is_limit_latched() and self._read_active_limits() == {-direction}:
             leave_limit(self.port, direction)
 
     def _read_active_limits(self) -> set[int]:
@@ -238,7 +238,7 @@ class Hctl1100Driver(Driver):
                     timeout=timeout, deadband=DEADBAND_COUNTS,
                 )  # fmt: skip
             except RunTimeout:  # where an end limit has ended it
-                if not self.port.is_limited():
+                if not self.port.is_limit_latched():
                     raise
                 return p.make_report(self.read_stop_reason())
             self.axis.wait(SETTLING_TIME_S)
@@ -262,12 +262,12 @@ class Hctl1100Driver(Driver):
         counts = (final.maximum if direction > 0 else final.minimum) - port.read_command_position()
         start_trapezoid(port, counts, speeds.drive, speeds.drive / speeds.up)
 
-    def hold_still(self) -> None:
+    def enter_position_control(self) -> None:
         """Switch from Init/Idle to position control, so that a load does not pull the axis away.
 
         On a limit switch the chip accepts no control mode and stays in Init/Idle.
         """
-        if not self.port.read_control_mode() and not self.port.is_limited():
+        if not self.port.read_control_mode() and not self.port.is_limit_latched():
             self.prepare()
 
     def is_running(self) -> bool:
@@ -278,7 +278,7 @@ class Hctl1100Driver(Driver):
         if not mode:
             port.enter_init_idle_mode()  # ends what leaves a limit switch
             return
-        port.write_numbers(timer=self.tuning.timer)
+        port.write_quantities(timer=self.tuning.timer)
         if at_once or mode == "proportional velocity":
             port.hold_position()
         elif mode == "trapezoid":
@@ -289,7 +289,7 @@ class Hctl1100Driver(Driver):
         wait_until_settled(port, self.axis.time, 0, DEADBAND_COUNTS, SETTLING_TIMEOUT_S)
 
     def read_stop_reason(self) -> str:
-        if self.port.is_limited():
+        if self.port.is_limit_latched():
             return self._name_triggered_limit(self._read_last_direction())
         cruises = self.chip.read(FLAG) >> MODE_FLAGS["integral velocity"] & 1  # the one mode that obeys STOP
         return "ORG" if cruises and not self.port.read_status() & STOP else ""
@@ -332,7 +332,7 @@ class Hctl1100Driver(Driver):
         moving_drivers = select_moving_drivers(everyone, pulses)
         for n, driver in everyone.items():
             if n not in moving_drivers:
-                driver.hold_still()
+                driver.enter_position_control()
         for driver in moving_drivers.values():
             driver._check_linear_ramps(speeds)
         ports = [driver.prepare() for driver in moving_drivers.values()]
@@ -426,7 +426,7 @@ class Hctl1100Driver(Driver):
 
         for name, value in values.items():
             put(name, value)
-        program.write(self.index, CLEAR, 0)
+        program.write(self.index, CLEAR_POSITION_ADDRESS, 0)
         if rates is None:
             put("command_position", counts)
         else:
@@ -470,7 +470,7 @@ def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, 
         nonlocal sample
         sample += 1
         on_row()
-        if any(port.is_limited() for port in ports):
+        if any(port.is_limit_latched() for port in ports):
             raise _EndLimitReached
 
     try:
@@ -481,7 +481,7 @@ def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, 
             sample - 1 + 0.5 * braking_samples * (1 - left**2)
         )  # of the rows: one a sample at first, none at the end
         places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[sample - 1]
-        free = [k for k, port in enumerate(ports) if not port.is_limited()]
+        free = [k for k, port in enumerate(ports) if not port.is_limit_latched()]
         if free:
             stream_positions([ports[k] for k in free], places[:, free], on_row=on_row)
     return sample == len(rows)

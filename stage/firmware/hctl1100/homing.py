@@ -29,12 +29,12 @@ from stage.firmware.hctl1100.moves import (
     write_command_velocity,
 )
 
-PUSH_COMMAND = 15  # hundredths of full drive: out of a limit
-MAX_COUNTS = 4000  # counts: a limit switch is left before; two turns of the usual encoder
+LIMIT_EXIT_MOTOR_COMMAND = 15  # hundredths of full drive: out of a limit
+MAX_LIMIT_EXIT_COUNTS = 4000  # counts: a limit switch is left before; two turns of the usual encoder
 FAST_POLL_S = 2e-4  # s between two looks at what should be seen soon
 INDEX_RETREAT_COUNTS = 60  # counts before the index pulse, from where it is sought count by count
 CREEP_INTERVAL_S = 2e-3  # s for a count
-MAX_TURNS = 1.2  # of the motor, within which an index pulse must come
+MAX_INDEX_SEARCH_REVOLUTIONS = 1.2  # of the motor, within which an index pulse must come
 
 
 @dataclass(frozen=True)
@@ -97,12 +97,12 @@ def home_servo(
     check_direction(direction, ", where the home switch lies")
     fast, begin = abs(convert_velocity_to_register(port, speed, "integral_velocity", 1)), port.axis.time
     port.clear_status()
-    port.write_numbers(acceleration=convert_acceleration_to_register(port, acceleration))
+    port.write_quantities(acceleration=convert_acceleration_to_register(port, acceleration))
     _run_to_switch(port, direction * fast, timeout)
     _back_out_of_switch(port, -direction, speed, acceleration, turn, timeout)
     switch = _run_to_switch(port, direction, timeout)
     found = _find_index_pulse(port, direction, turn) if index else None
-    subtract_origin(port, switch if found is None else found)
+    set_position_origin(port, switch if found is None else found)
     move_by_trapezoid(port, -port.read_command_position(), velocity=speed, acceleration=acceleration, deadband=deadband)
     return ServoHomeReport(
         port.axis.name, switch, found, port.axis.time - begin, port.axis.position, getattr(port.axis, "unit", "m")
@@ -111,7 +111,12 @@ def home_servo(
 
 @exclusive
 def leave_limit(
-    port: ChipPort, direction: int, *, push: int = PUSH_COMMAND, max_counts: int = MAX_COUNTS, timeout: float = 2.0
+    port: ChipPort,
+    direction: int,
+    *,
+    push: int = LIMIT_EXIT_MOTOR_COMMAND,
+    max_counts: int = MAX_LIMIT_EXIT_COUNTS,
+    timeout: float = 2.0,
 ) -> None:
     """Drive an axis out of its limit switch in Init/Idle, in which the chip closes no loop; then hold its position.
 
@@ -128,14 +133,14 @@ def leave_limit(
     """
     port.enter_init_idle_mode()
     begin = port.read_position()
-    port.write_numbers(motor_command=direction * push)
+    port.write_quantities(motor_command=direction * push)
 
     def is_released_or_out_of_reach() -> bool:
         """Clear LIMIT if the switch is released; return whether it is, or whether the axis has moved more than `max_counts`."""
         return bool(port.clear_status() & LIMIT) or abs(port.read_position() - begin) > max_counts
 
     port.wait_until(is_released_or_out_of_reach, timeout, "release of the limit switch", FAST_POLL_S)
-    if port.is_limited():
+    if port.is_limit_latched():
         port.enter_init_idle_mode()
         raise RunTimeout(
             f"axis {port.axis.name}: its limit switch is still on {max_counts} counts away, at {port.read_position()} counts. Look "
@@ -146,7 +151,7 @@ def leave_limit(
 
 def _run_to_switch(port: ChipPort, velocity: int, timeout: float) -> int:
     """Run a servo axis in integral velocity mode until STOP has triggered and it rests; return the position of the trigger."""
-    port.write_numbers(integral_velocity=0)
+    port.write_quantities(integral_velocity=0)
     port.set_control_mode("integral velocity")
     if port.read_status() & STOP:
         write_command_velocity(port, velocity)
@@ -161,7 +166,7 @@ def _run_to_switch(port: ChipPort, velocity: int, timeout: float) -> int:
 
 def _check_limit(port: ChipPort, expected_event: str) -> None:
     """Raise RunTimeout if LIMIT, the HCTL-1100's limit flag, has triggered. `expected_event` is for the message."""
-    if port.is_limited():
+    if port.is_limit_latched():
         raise RunTimeout(
             f"axis {port.axis.name}: LIMIT before {expected_event}, at {port.read_position()} counts; it is in Init/Idle now."
         )
@@ -190,7 +195,7 @@ def _back_out_of_switch(
         if port.clear_status() & STOP:
             return True
         move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
-        return port.is_limited()
+        return port.is_limit_latched()
 
     port.wait_until(clear_stop_or_move_back, timeout, "release of the home switch", FAST_POLL_S)
     _check_limit(port, "release of the home switch")
@@ -201,7 +206,7 @@ def _find_index_pulse(port: ChipPort, direction: int, turn: int) -> int:
     """Find the index pulse, and return the position at which it begins when approached in `direction`."""
     pins = port.axis.chip.axes[port.axis.chip_axis].pins
     port.clear_status()
-    max_counts = round(MAX_TURNS * turn)
+    max_counts = round(MAX_INDEX_SEARCH_REVOLUTIONS * turn)
 
     def creep(counts: int, seconds: float) -> bool:
         """Move count by count, `seconds` each, at most `counts`; return whether the index pulse has begun."""
@@ -227,12 +232,12 @@ def _find_index_pulse(port: ChipPort, direction: int, turn: int) -> int:
     return port.read_position()
 
 
-def subtract_origin(port: ChipPort, origin: int) -> None:
+def set_position_origin(port: ChipPort, origin: int) -> None:
     """Subtract `origin`, counts, from the HCTL-1100's actual position, and hold the axis where it is.
 
     The chip allows this only in Init/Idle, so the motor is off for a few bus cycles.
     """
     port.enter_init_idle_mode()
-    port.write_numbers(preset_position=port.read_position() - origin)
-    port.write_numbers(command_position=port.read_position())
+    port.write_quantities(preset_position=port.read_position() - origin)
+    port.write_quantities(command_position=port.read_position())
     port.chip.write(MODE, CONTROL)

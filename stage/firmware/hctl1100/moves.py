@@ -134,7 +134,7 @@ def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> ChipPort:
 
 def load_filter(port: ChipPort, tuning: FilterTuning) -> None:
     """Load the HCTL-1100's filter and sample timer T. Raises ArgumentError for values that do not fit their registers."""
-    port.write_numbers(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
+    port.write_quantities(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
 
 
 def move_by_step(port: ChipPort, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> ServoMoveReport:
@@ -207,7 +207,7 @@ def start_trapezoid(port: ChipPort, counts: int, velocity: float, acceleration: 
         convert_velocity_to_register(port, velocity, "maximum_velocity", 1),
         convert_acceleration_to_register(port, acceleration),
     )
-    port.write_numbers(final_position=port.read_command_position() + counts, acceleration=a, maximum_velocity=v)
+    port.write_quantities(final_position=port.read_command_position() + counts, acceleration=a, maximum_velocity=v)
     begin = port.axis.time
     port.set_control_mode("trapezoid")
     return begin, v / port.sample, a / 256 / port.sample**2
@@ -235,7 +235,7 @@ def brake_trapezoid(port: ChipPort) -> None:
     positions = np.rint(np.copysign(distance, final - begin) * (1 - rest**2)).astype(int)
     port.chip.write(FLAG, MODE_FLAGS["trapezoid"])
     if samples:
-        port.write_numbers(command_position=begin + int(positions[0]))
+        port.write_quantities(command_position=begin + int(positions[0]))
         stream_positions([port], positions[1:, None] - positions[0])
 
 
@@ -249,7 +249,9 @@ def wait_for_profile_end(port: ChipPort, timeout: float) -> None:
     Raises:
         RunTimeout: The profile was not over after `timeout`.
     """
-    port.wait_until(lambda: not port.read_status() & PROFILE or port.is_limited(), timeout, "the end of its profile")
+    port.wait_until(
+        lambda: not port.read_status() & PROFILE or port.is_limit_latched(), timeout, "the end of its profile"
+    )
 
 
 def wait_until_settled(
@@ -283,7 +285,7 @@ def wait_until_settled(
         """Return whether the axis has stayed within the deadband for SETTLED_DWELL_S, or LIMIT has triggered."""
         nonlocal since, error, limited
         error, now = goal - port.read_position(), port.axis.time
-        limited = port.is_limited()
+        limited = port.is_limit_latched()
         if abs(error) > deadband:
             since = now
         return limited or now - since >= SETTLED_DWELL_S
@@ -307,21 +309,21 @@ def run_in_proportional_velocity_mode(port: ChipPort, rate: float, seconds: floa
         ArgumentError: The chip does not have this rate at this sample time.
     """
     word = convert_velocity_to_register(port, rate, "proportional_velocity", 16)
-    port.wait_for_safe_part()
-    port.write_numbers(proportional_velocity=0)
+    port.wait_for_safe_part_of_sample()
+    port.write_quantities(proportional_velocity=0)
     port.set_control_mode("proportional velocity")
 
-    def turn(value: int) -> None:
+    def write_velocity(value: int) -> None:
         """Write the command velocity of the motor, in sixteenths of a count per sample."""
-        port.wait_for_safe_part("proportional velocity")
-        port.write_numbers(proportional_velocity=value)
+        port.wait_for_safe_part_of_sample("proportional velocity")
+        port.write_quantities(proportional_velocity=value)
 
-    turn(word)
+    write_velocity(word)
     reached = _measure_mean_velocity(port, seconds)
-    turn(0)
+    write_velocity(0)
     port.axis.wait(port.sample)
-    port.wait_until(lambda: not port.read_velocity() or port.is_limited(), 2.0, "rest")
-    ended = "LIMIT" if port.is_limited() else ""
+    port.wait_until(lambda: not port.read_velocity() or port.is_limit_latched(), 2.0, "rest")
+    ended = "LIMIT" if port.is_limit_latched() else ""
     if not ended:
         port.hold_position()
     return VelocityReport(port.axis.name, "proportional", word / 16 / port.sample, reached, ended)
@@ -347,7 +349,7 @@ def run_in_integral_velocity_mode(
     word, ramp = start_integral_velocity_mode(port, rate, acceleration)
     port.axis.wait(ramp)
     reached = _measure_mean_velocity(port, seconds)
-    ended = "LIMIT" if port.is_limited() else "" if port.read_status() & STOP else "STOP"
+    ended = "LIMIT" if port.is_limit_latched() else "" if port.read_status() & STOP else "STOP"
     if ended != "LIMIT":
         write_command_velocity(port, 0)
         port.axis.wait(ramp)
@@ -374,7 +376,7 @@ def start_integral_velocity_mode(port: ChipPort, rate: float, acceleration: floa
         convert_acceleration_to_register(port, acceleration),
     )
     port.clear_status()
-    port.write_numbers(acceleration=a, integral_velocity=0)
+    port.write_quantities(acceleration=a, integral_velocity=0)
     port.set_control_mode("integral velocity")
     write_command_velocity(port, word)
     return word, (abs(word) * 256 / a + 2) * port.sample
@@ -382,8 +384,8 @@ def start_integral_velocity_mode(port: ChipPort, rate: float, acceleration: floa
 
 def write_command_velocity(port: ChipPort, velocity: int) -> None:
     """Write a command velocity for integral velocity mode, counts per sample, in the safe part of a sample."""
-    port.wait_for_safe_part("integral velocity")
-    port.write_numbers(integral_velocity=velocity)
+    port.wait_for_safe_part_of_sample("integral velocity")
+    port.write_quantities(integral_velocity=velocity)
 
 
 def _measure_mean_velocity(port: ChipPort, seconds: float) -> float:

@@ -99,8 +99,8 @@ def stream_positions(
         wait_for_next_sample(main)
         for port, value in zip(ports, row, strict=True):
             if not leader_only:
-                port.wait_for_safe_part()
-            port.write_numbers(command_position=value)
+                port.wait_for_safe_part_of_sample()
+            port.write_quantities(command_position=value)
         if on_row is not None:
             on_row()
     seconds = main.axis.time - begin
@@ -114,8 +114,8 @@ def wait_for_next_sample(port: ChipPort, mode: str = "position") -> None:
         port: Port of the axis.
         mode: Control mode.
     """
-    port.axis.wait((port.chip.read(TIMER) + SAFE_MARGIN_COUNTS) * port.count)
-    port.wait_for_safe_part(mode)
+    port.axis.wait((port.chip.read(TIMER) + SAFE_MARGIN_COUNTS) * port.timer_count_s)
+    port.wait_for_safe_part_of_sample(mode)
 
 
 def compute_circle_positions(

@@ -63,7 +63,7 @@ def compute_logic_bits(axis: Axis, word: str) -> int:
     return bits
 
 
-def compute_mcx514_inputs(axis: Axis) -> int:
+def compute_mcx514_wr2(axis: Axis) -> int:
     """Compute WR2 of an MCX514 with which end limits stop the axis and the logic of all sensors suits their wiring."""
     return MAP.mask("WR2", "HLM-E") | compute_logic_bits(axis, "WR2")
 

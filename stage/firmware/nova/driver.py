@@ -37,7 +37,7 @@ OperationsType = TypeVar("OperationsType", bound=Operations)
 SEARCH_TIME_FACTOR = 3  # runs that an automatic search stands for: so many times `limit` it may take
 HOME_SPEED_PPS = 400.0  # pps; slow, so that the motor does not ring when the switch trips
 STOP_TIMEOUT_S = 60.0  # s for a stop
-END_CAUSES = {
+STOP_REASON_BY_BIT = {
     "LMT+": "EL+", "LMT-": "EL-", "STOP1": "ORG", "STOP2": "EZ", "STOP0": "STOP0", "STOP3": "STOP3", "EMG": "EMG",
     "ALARM": "ALARM", "SYNC": "SYNC",
 }  # fmt: skip
@@ -138,7 +138,7 @@ class NovaDriver(Driver):
 
     def read_stop_reason(self) -> str:
         word = self.port.read_status_register(int(self.END_WORD[2]))
-        return next((name for bit, name in END_CAUSES.items() if word & self._get_end_mask(bit)), "")
+        return next((name for bit, name in STOP_REASON_BY_BIT.items() if word & self._get_end_mask(bit)), "")
 
     def explain_end(self, all_pulses_sent: bool, journal: Journal | None = None) -> str:
         """Return the stop reason of a drive. END_WORD has no bit for software limits, so they are read from RR2.
@@ -400,7 +400,7 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
+    def add_input_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
         """Add the reads of the errors and of the levels of STOP1 and STOP2 to a program.
 
         Args:
@@ -419,5 +419,5 @@ class NovaDriver(Driver):
         """Add the command that clears the end status of earlier drives, if the chip has one."""
 
     @abstractmethod
-    def get_search_ranges(self) -> dict[str, tuple[int, int]]:
+    def get_home_search_ranges(self) -> dict[str, tuple[int, int]]:
         """Return the ranges of the choices (parameters) of a home search by name, except the speeds and `leave`."""

@@ -30,7 +30,7 @@ class HomeSearchProgram(HomeProgram):
             )
         speeds = {name: get_register_range(driver.map, name) for name in (*driver.SPEEDS, "HV")}
         self.choices = ParameterRanges(
-            {**speeds, "leave": (0, settings.leave), **driver.get_search_ranges()}, cubed=("leave",)
+            {**speeds, "leave": (0, settings.leave), **driver.get_home_search_ranges()}, cubed=("leave",)
         )
         self.result_indices = {}
         self._bits: dict[str, tuple[int, bool]] = {}
@@ -59,7 +59,7 @@ class HomeSearchProgram(HomeProgram):
         driver.add_end_status_clear(p)  # a limit that the leaving has met
         polls = driver.add_home_search(p, bool(values["step1"]), values.get("timer", 0), bool(c.ez), c.limit, c.settle)
         self.result_indices |= {f"home time {k}": at for k, at in enumerate(polls)}
-        for name, (at, mask, high) in driver.add_level_reads(p).items():
+        for name, (at, mask, high) in driver.add_input_level_reads(p).items():
             self.result_indices[name], self._bits[name] = at, (mask, high)
         self._add_position_reads(p, "ended")
         return p

@@ -25,7 +25,7 @@ from stage.firmware.nova.chip_port import (
     MAP,
     POLL_INTERVAL_S,
     ChipPort,
-    compute_mcx514_inputs,
+    compute_mcx514_wr2,
     get_bit_mask,
     open_ports,
     stop_axes,
@@ -33,7 +33,7 @@ from stage.firmware.nova.chip_port import (
 from stage.units import POSITION_UNITS
 
 HSST = MAP.field("RR3-0", "HSST")
-HSST_SEARCHES_BACK = HSST.find_code("step 2 irregular: waits for the signal in the other direction")
+HSST_REVERSE_SEARCH_CODE = HSST.find_code("step 2 irregular: waits for the signal in the other direction")
 """State in which the chip searches in the opposite direction, because the axis met the end limit before the signal."""
 TIMER_CHOICES_S = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
 
@@ -121,7 +121,7 @@ def home_search(
     }  # fmt: skip
     for port in ports:
         port.write_parameters(**words)
-        port.write_mode_words(WR2=compute_mcx514_inputs(port.axis), WR3=0)
+        port.write_mode_words(WR2=compute_mcx514_wr2(port.axis), WR3=0)
         port.write_command("R2CLR")
     begin = ports[0].axis.time
     together = sum(port.bit for port in ports)
@@ -165,7 +165,7 @@ def _poll_home_states(
             state = HSST.extract(port.read_status_register(3))
             if not states or states[-1][1] != state:
                 states.append((port.axis.time - begin, state))
-                if at_limit is not None and state == HSST.extract(HSST_SEARCHES_BACK):
+                if at_limit is not None and state == HSST.extract(HSST_REVERSE_SEARCH_CODE):
                     at_limit(port)
         passed = ports[0].axis.time - begin
         if passed > timeout:

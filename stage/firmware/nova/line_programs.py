@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.chips.nova.registers.mcx300 import RANGE
+from stage.chips.nova.registers.mcx300 import UNIT_MULTIPLE_RANGE
 from stage.errors import ArgumentError, add_article
 from stage.firmware.line_programs import LineMoves, LinePrograms
 from stage.firmware.parameter_ranges import get_register_range
@@ -143,7 +143,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         tuned = drivers[0].list_move_registers(settings.s_curve)
         super().__init__(drivers, settings, len(drivers), ("R", *tuned))
         self.ranges = get_register_range(self.chip.MAP, "R")
-        self.max_rate = float(MAX_SPEED * RANGE / self.ranges[0])
+        self.max_rate = float(MAX_SPEED * UNIT_MULTIPLE_RANGE / self.ranges[0])
         self._write_template()
 
     def _write_template(self) -> None:
@@ -175,12 +175,14 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         c, rho, (peak, ramp) = self.settings, moves.shares, self.compute_peak_rates_and_ramps(moves)
         fl = np.minimum(c.fl, peak)
         least, max_range = self.ranges
-        multiple = np.clip(np.maximum(1.0 / rho.min(axis=1), peak / MAX_SPEED), 1.0, np.minimum(RANGE / least, peak))
+        multiple = np.clip(
+            np.maximum(1.0 / rho.min(axis=1), peak / MAX_SPEED), 1.0, np.minimum(UNIT_MULTIPLE_RANGE / least, peak)
+        )
         speed = np.maximum(np.floor(peak / multiple), 1.0)
-        multiple = np.clip(peak / speed, 1.0, RANGE / least)
+        multiple = np.clip(peak / speed, 1.0, UNIT_MULTIPLE_RANGE / least)
         gain = np.maximum(peak - fl, 1e-9)
-        ranges = np.clip(np.rint(RANGE / (rho * multiple[:, None])), least, max_range)
-        m = RANGE / ranges
+        ranges = np.clip(np.rint(UNIT_MULTIPLE_RANGE / (rho * multiple[:, None])), least, max_range)
+        m = UNIT_MULTIPLE_RANGE / ranges
         share = rho * multiple[:, None] / m  # 1 where the multiple could be the share
         low, high = np.rint(fl / multiple), speed
         columns = [ranges, share * low[:, None], share * high[:, None]]
@@ -221,7 +223,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
     def _compute_ramps(self, registers: np.ndarray) -> Ramps:
         """Compute the ramps that result from registers of shape (stages, axes, names)."""
         r = registers.astype(np.float64)
-        m = RANGE / r[..., 0]
+        m = UNIT_MULTIPLE_RANGE / r[..., 0]
         low, high, rate = m * r[..., 1], m * r[..., 2], 125.0 * m * r[..., 3]
         ramp = (high - low) / rate
         if self.settings.s_curve:

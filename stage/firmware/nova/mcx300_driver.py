@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar, TypeVar
 
 from stage.chips.nova import MCX314AS
-from stage.chips.nova.registers.mcx300 import MCX304_MAP, RANGE
+from stage.chips.nova.registers.mcx300 import MCX304_MAP, UNIT_MULTIPLE_RANGE
 from stage.firmware.driver import SETTLING_TIME_S, ImmediateOperations, Speeds, wait_until_stopped
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.nova.chip_port import compute_logic_bits
@@ -17,7 +17,7 @@ from stage.sim.program import Operations, Program
 OperationsType = TypeVar("OperationsType", bound=Operations)
 
 HMST = MCX304_MAP.field("RR2", "HMST")
-HMST_SEARCHES_BACK = HMST.find_code("step 2: waits for STOP1 in the other direction")
+HMST_REVERSE_SEARCH_CODE = HMST.find_code("step 2: waits for STOP1 in the other direction")
 """Value of HMST while the chip searches in the opposite direction, because the end limit came before the signal."""
 FILTER_CODE = 4
 """Of FL, in the search at HV: an input counts when it was steady for 2 ms, so that a contact that bounces has one edge. That is
@@ -26,7 +26,7 @@ SPEED_MULTIPLE = 20
 """Of the first generation: R = 8,000,000 / 20, so that a unit of SV and V is 20 pps."""
 
 
-class FirstGenerationDriver(NovaDriver):
+class Mcx300Driver(NovaDriver):
     """Driver of MCX304, MCX302, MCX312 and MCX314As, whose speeds are multiples of 8,000,000 / R pps; R is the range register.
 
     The first, fast step of the chips' automatic home search ignores ORG. Therefore the driver makes a continuous drive until STOP1
@@ -77,7 +77,7 @@ class FirstGenerationDriver(NovaDriver):
 
         def stop_at_limit() -> None:
             """Stop the axis if the NOVA chip searches back for home from an end limit."""
-            if not back and self.port.read_status_register(2) & HMST.mask == HMST_SEARCHES_BACK:
+            if not back and self.port.read_status_register(2) & HMST.mask == HMST_REVERSE_SEARCH_CODE:
                 back.append(True)
                 self.port.write_command(self.STOP)
 
@@ -98,7 +98,9 @@ class FirstGenerationDriver(NovaDriver):
         )
         if isinstance(self.chip, MCX314AS):
             self.add_register_write(program, "EM", 0)
-        return self.add_register_write(self.add_register_write(program, "R", RANGE // SPEED_MULTIPLE), "AO", 0)
+        return self.add_register_write(
+            self.add_register_write(program, "R", UNIT_MULTIPLE_RANGE // SPEED_MULTIPLE), "AO", 0
+        )
 
     def _compute_wr1(self, *bit_names: str) -> int:
         """Return a value of the mode word WR1 with the logic of the sensors and the named bits."""
@@ -134,7 +136,7 @@ class FirstGenerationDriver(NovaDriver):
         program.write(self.index, 5, sum(places))
         return self.add_command(self.add_command(program, "IP_DEC_VALID"), f"IP_{len(drivers)}ST")
 
-    def get_search_ranges(self) -> dict[str, tuple[int, int]]:
+    def get_home_search_ranges(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1)}
 
     def add_home_search(
@@ -207,7 +209,7 @@ class FirstGenerationDriver(NovaDriver):
         self.add_command(program, self.STOP).wait(rest_s)
         return at
 
-    def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
+    def add_input_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
         self.add_command(program, self.NOP)
         at = len(program)
         program.read(self.index, 2).read(self.index, self._find_stop_level_mask(1)[0])

@@ -8,10 +8,10 @@ from typing import ClassVar, TypeVar
 from stage.errors import ArgumentError
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds
 from stage.firmware.move_report import ProcedureObserver, Report
-from stage.firmware.nova.chip_port import compute_mcx514_inputs
-from stage.firmware.nova.driver import END_CAUSES, HOME_SPEED_PPS, SEARCH_TIME_FACTOR, NovaDriver
+from stage.firmware.nova.chip_port import compute_mcx514_wr2
+from stage.firmware.nova.driver import HOME_SPEED_PPS, SEARCH_TIME_FACTOR, STOP_REASON_BY_BIT, NovaDriver
 from stage.firmware.nova.home_search import home_search
-from stage.firmware.nova.path_interpolation import ArcSegment, PathReport, PathSpeed, draw_path
+from stage.firmware.nova.path_interpolation import ArcSegment, PathReport, PathSpeed, move_along_path
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Operations, Program
 
@@ -42,7 +42,7 @@ class Mcx514Driver(NovaDriver):
                 back=False,
             )[self.axis.name]  # fmt: skip
             self.axis.wait(SETTLING_TIME_S)
-            errors = [END_CAUSES.get(name.removeprefix("H"), name) for name in search_report.errors]
+            errors = [STOP_REASON_BY_BIT.get(name.removeprefix("H"), name) for name in search_report.errors]
             return observer.make_report(next(iter(errors), self.read_stop_reason() or "HOME"))
 
     def draw_circle(self, other: Driver, radius: int, speeds: Speeds) -> PathReport:
@@ -50,14 +50,14 @@ class Mcx514Driver(NovaDriver):
         own_axes, others = self.axis.chip_axis, other.axis.chip_axis
         centre = (0, radius) if own_axes < others else (radius, 0)  # in the order of the chip's axes
         speed = PathSpeed(registers["DV"], registers["SV"], registers["AC"])
-        return draw_path([ArcSegment(centre=centre)], self.axis, other.axis, speed=speed)
+        return move_along_path([ArcSegment(centre=centre)], self.axis, other.axis, speed=speed)
 
     def add_end_status_clear(self, program: OperationsType) -> OperationsType:
         return self.add_command(program, "R2CLR")
 
     def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:
         return self.add_mode_words(
-            program, WR2=compute_mcx514_inputs(self.axis), WR3=self.get_mask("WR3", "SACC") if s_curve else 0
+            program, WR2=compute_mcx514_wr2(self.axis), WR3=self.get_mask("WR3", "SACC") if s_curve else 0
         )
 
     def add_drive(self, program: OperationsType, pulses: int) -> OperationsType:
@@ -102,7 +102,7 @@ class Mcx514Driver(NovaDriver):
         self.add_register_write(program, "IPM", sum(h.bit for h in main_chip) | (MASTER << mlt if chips else 0))
         return self.add_command(self.add_command(program, "DECEN"), f"LHK{len(main_chip)}")
 
-    def get_search_ranges(self) -> dict[str, tuple[int, int]]:
+    def get_home_search_ranges(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1), "timer": (0, MAX_TIMER_CODES)}
 
     def add_home_search(
@@ -126,7 +126,7 @@ class Mcx514Driver(NovaDriver):
         self.add_command(program, self.STOP).wait(rest_s)
         return [at]
 
-    def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
+    def add_input_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
         self.add_command(program, self.NOP)
         at = len(program)
         program.read(self.index, 2).read(self.index, 3)

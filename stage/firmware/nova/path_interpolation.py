@@ -1,10 +1,10 @@
 """Paths of lines, arcs and helices by the interpolation of an MCX514, without a stop between the segments.
 
     x, y, z = (stage.axes[n] for n in "xyz")
-    draw_path([ArcSegment(centre=(0, 4000))], x, y, speed=PathSpeed(8000))
-    draw_path([HelixSegment(centre=(0, 4000), rotations=3, along=(1600,))], x, y, z, speed=PathSpeed(8000))
+    move_along_path([ArcSegment(centre=(0, 4000))], x, y, speed=PathSpeed(8000))
+    move_along_path([HelixSegment(centre=(0, 4000), rotations=3, along=(1600,))], x, y, z, speed=PathSpeed(8000))
     segments = [LineSegment((8000, 0)), ArcSegment(centre=(0, 4000), finish=(4000, 4000)), LineSegment((0, 8000))]
-    draw_path(segments, x, y, speed=PathSpeed(8000))
+    move_along_path(segments, x, y, speed=PathSpeed(8000))
 
 Coordinates are pulses from the beginning of a segment, one number for each axis in the order of the chip's axes. The pre-buffer
 holds eight segments in addition to the one that runs, and the host refills it. The chip ramps down in the last segment; if that is
@@ -23,7 +23,7 @@ from stage.firmware.nova.chip_port import (
     MAP,
     POLL_INTERVAL_S,
     ChipPort,
-    compute_mcx514_inputs,
+    compute_mcx514_wr2,
     get_bit_mask,
     open_ports,
     stop_axes,
@@ -124,7 +124,9 @@ class PathReport:
 
 
 @exclusive
-def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, timeout: float = 60.0) -> PathReport:
+def move_along_path(
+    segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, timeout: float = 60.0
+) -> PathReport:
     """Move two to four axes of one MCX514, or both of an MCX512, along segments without a stop between them.
 
     Args:
@@ -185,7 +187,7 @@ def _write_path_modes(ports: list[ChipPort], speed: PathSpeed) -> None:
     )
     curves = get_bit_mask("WR3", "SACC") if speed.jerk else 0
     for port in ports:
-        port.write_mode_words(WR2=compute_mcx514_inputs(port.axis), WR3=curves)
+        port.write_mode_words(WR2=compute_mcx514_wr2(port.axis), WR3=curves)
         port.write_command("R2CLR")
     even = (THREE_AXES if len(ports) > 2 else TWO_AXES) << MAP.bit("IPM", "SPD") if speed.even else 0
     ports[0].write_parameters(IPM=sum(port.bit for port in ports) | even)

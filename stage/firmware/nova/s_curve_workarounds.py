@@ -17,12 +17,12 @@ from stage.firmware.nova.chip_port import ChipPort
 DECELERATING_STOP, SUDDEN_STOP = "STOP_DEC", "STOP_SUDDEN"
 ASND, CNST, DSND = (MAP.mask("RR1", name) for name in ("ASND", "CNST", "DSND"))
 PHASES = ASND | CNST | DSND
-STOPPED_BY_LIMIT = MAP.mask("RR1", "LMT+") | MAP.mask("RR1", "LMT-")
-STOPPED_BY_STOP = sum(MAP.mask("RR1", f"STOP{k}") for k in range(3))
+LIMIT_STOP_MASK = MAP.mask("RR1", "LMT+") | MAP.mask("RR1", "LMT-")
+STOP_INPUT_MASK = sum(MAP.mask("RR1", f"STOP{k}") for k in range(3))
 C_END_ENABLE, C_END = MAP.mask("WR1", "C-END"), MAP.mask("RR3", "C-END")
 STOP_ENABLES = tuple(MAP.mask("WR1", f"SP{k}-E") for k in range(3))
-SOFT_LIMITS = MAP.mask("WR2", "SLMT+") | MAP.mask("WR2", "SLMT-")
-LIMITS_DECELERATE = MAP.mask("WR2", "LMTMD")
+SOFT_LIMIT_MASK = MAP.mask("WR2", "SLMT+") | MAP.mask("WR2", "SLMT-")
+LIMIT_DECELERATION_MASK = MAP.mask("WR2", "LMTMD")
 S_CURVE = MAP.mask("WR3", "SACC")
 
 
@@ -120,7 +120,7 @@ def handle_limit_interrupt(port: ChipPort) -> bool:
         return False
     if not port.is_driving():  # 3: it has ended as it should
         return False
-    if not status & STOPPED_BY_LIMIT:  # 4
+    if not status & LIMIT_STOP_MASK:  # 4
         return False
     if status & PHASES:  # 5
         return False
@@ -142,7 +142,7 @@ def handle_limit_timer(port: ChipPort) -> bool:
     Returns:
         Whether 27h had to be written.
     """
-    return _end_runaway(port, STOPPED_BY_LIMIT)
+    return _end_runaway(port, LIMIT_STOP_MASK)
 
 
 def start_within_limits(port: ChipPort, pulses: int, low: int, high: int) -> bool:
@@ -174,7 +174,7 @@ def handle_stop_signal_timer(port: ChipPort) -> bool:
     Returns:
         Whether 27h had to be written.
     """
-    return _end_runaway(port, STOPPED_BY_STOP)
+    return _end_runaway(port, STOP_INPUT_MASK)
 
 
 def _end_runaway(port: ChipPort, causes: int) -> bool:

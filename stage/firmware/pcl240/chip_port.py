@@ -3,7 +3,7 @@
 port = ChipPort(axis)                      the axis of a Stage or a Bench
 port.write_registers(R0=2000, R6=300)
 port.write_command(CONTROL | PRESET)
-port.write_command(RAMP["FH1"])
+port.write_command(RAMP_START_COMMANDS["FH1"])
 port.wait_until_stopped(timeout=5)
 """
 
@@ -35,14 +35,14 @@ from stage.firmware.driver import compute_poll_interval
 from stage.support.argument_checks import explain_constructor
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
-RAMP = {name: start | bits.RAMP for name, start in START.items()}
+RAMP_START_COMMANDS = {name: start | bits.RAMP for name, start in START.items()}
 RESET = bits.STOP
-SLOW_DOWN = {name: bits.STOP | ramp for name, ramp in RAMP.items()}  # decelerating stop
-INTERRUPT = bits.INT_AT_STOP
+SLOW_DOWN = {name: bits.STOP | ramp for name, ramp in RAMP_START_COMMANDS.items()}  # decelerating stop
+STOP_INTERRUPT_BIT = bits.INT_AT_STOP
 
 __all__ = [
-    "AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_SIGNAL", "INTERRUPT", "MINUS", "ORIGIN",
-    "ChipPort", "OUTPUT", "POSITION", "PRESET", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN", "START", "Status",
+    "AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_SIGNAL", "STOP_INTERRUPT_BIT", "MINUS", "ORIGIN",
+    "ChipPort", "OUTPUT", "POSITION", "PRESET", "RAMP_START_COMMANDS", "RESET", "SD", "SELECT", "SLOW_DOWN", "START", "Status",
     "UNCORRECTED", "describe_leader", "encode_index_pulse_number", "explain_missing_pulses", "has_ez_monitor", "require_clock",
 ]  # fmt: skip
 
@@ -147,7 +147,7 @@ class Status(NamedTuple):
 
 
 assert Status._fields == tuple(f.name for f in STATUS.fields)
-_READ = [Status(*(bool(word >> k & 1) for k in range(7, -1, -1))) for word in range(256)]  # firmware polls it
+_STATUS_BY_BYTE = [Status(*(bool(word >> k & 1) for k in range(7, -1, -1))) for word in range(256)]  # firmware polls it
 
 
 def compute_polarity_bits(axis: Axis) -> dict[str, int]:
@@ -232,7 +232,7 @@ class ChipPort:
 
     def read_status(self) -> Status:
         """Read the status byte of the PCL-240 by one bus cycle."""
-        return _READ[self._chip.read(0)]
+        return _STATUS_BY_BYTE[self._chip.read(0)]
 
     def read_counter(self) -> int:
         """Read all bytes of R0, the down counter, from high to low, and repeat the reads until they agree (data sheet Q & A).

@@ -19,7 +19,7 @@ from stage.firmware.pcl240.home_program import FourRunHomeProgram
 from stage.firmware.pcl240.line_programs import RatioLinePrograms
 from stage.firmware.pcl240.move_plot_signals import Pcl240Pattern
 from stage.firmware.pcl240.origin_return import APPROACH_RATE_PPS, origin_return
-from stage.firmware.pcl240.procedure_observer import find_present_stop_cause, find_stop_reason
+from stage.firmware.pcl240.procedure_observer import find_present_stop_reason, find_stop_reason
 from stage.firmware.pcl240.rate_change_moves import dual_rate_move
 from stage.firmware.pcl240.speed_profile import (
     MAX_SPEED_STEPS,
@@ -101,7 +101,7 @@ class Pcl240Driver(Driver):
     def start(self, pulses: int, speeds: Speeds) -> None:
         self._open_journal()
         self.goal = self.chip.net() + pulses
-        moves.start_preset(self.port, self.build_profile(speeds), pulses)
+        moves.start_preset_move(self.port, self.build_profile(speeds), pulses)
 
     def move_at_two_rates(
         self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER
@@ -121,7 +121,7 @@ class Pcl240Driver(Driver):
     def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
         self._open_journal()
         moves.write_move_setup(self.port, self.build_profile(speeds), chip_port.MINUS if direction < 0 else 0)
-        self.port.write_command(chip_port.RAMP["FH1"])
+        self.port.write_command(chip_port.RAMP_START_COMMANDS["FH1"])
 
     def halt(self, at_once: bool = False) -> None:
         if self.port.read_status().operating:
@@ -152,7 +152,7 @@ class Pcl240Driver(Driver):
             return ""
         self._close()
         return (
-            find_stop_reason(self._journal) if self._journal is not None else find_present_stop_cause(self.chip.state)
+            find_stop_reason(self._journal) if self._journal is not None else find_present_stop_reason(self.chip.state)
         )
 
     def read_register(self, name: str) -> int:
@@ -190,7 +190,7 @@ class Pcl240Driver(Driver):
             program.register(a, chip, name, value)
         minus = chip_port.MINUS if pulses < 0 else 0
         program.command(a, chip_port.OUTPUT).command(a, chip_port.CONTROL | chip_port.PRESET | minus).command(
-            a, chip_port.RAMP["FH1"]
+            a, chip_port.RAMP_START_COMMANDS["FH1"]
         )
 
     def write_stop(self, program: Operations) -> None:

@@ -15,7 +15,7 @@ ROW_REGISTERS = (*(f"R{k}" for k in range(8)), "R14", "R15")
 MAX_CLOCKS = 1 << 44
 
 
-def trace_row(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = False) -> np.ndarray:
+def trace_preset_move(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = False) -> np.ndarray:
     """Run the preset move that a row of registers describes on an emulated chip.
 
     Args:
@@ -52,5 +52,5 @@ def _start_row_on_chip(row: np.ndarray, chip: type[PCL240], r6: int, automatic: 
         for cycle in emulated.register_cycles(name, value):
             emulated.write(*cycle)
     emulated.write(0, chip_port.CONTROL | chip_port.PRESET | (chip_port.AUTOMATIC if automatic else 0))
-    emulated.write(0, (chip_port.RAMP if row[2] > row[1] else chip_port.START)["FH1"])
+    emulated.write(0, (chip_port.RAMP_START_COMMANDS if row[2] > row[1] else chip_port.START)["FH1"])
     return emulated

@@ -35,7 +35,7 @@ from stage.native import array_of, exported, hot, record
 MAX_CANDIDATES = 24  # accelerations that are tried with every deceleration
 MAX_BEST_ROWS = 4  # followers returned
 RAMP_POINTS = 8
-EXTRA_POINTS = 3  # points: ends of the follower's ramps
+RAMP_END_POINTS = 3  # points: ends of the follower's ramps
 SPREAD_WEIGHT = 0.02  # prefers a flat E among equals
 DRIFT_WEIGHT = 0.1  # and an exact ratio, by the pulses that it would drift
 TAIL_WEIGHT = 3.0  # pulses at FL after the ramp-down, of which a follower with another FL makes another number
@@ -43,7 +43,7 @@ RATIO_WEIGHT = 1.0  # a ratio error of 1 % has to buy a hundredth of a pulse
 
 
 ROW_TYPE = array_of("i8")
-DEMAND_POINTS = RAMP_POINTS + 1 + EXTRA_POINTS
+DEMAND_POINTS = RAMP_POINTS + 1 + RAMP_END_POINTS
 WORK_DTYPE = record(
     [
         ("leader", "i8", (4,)),
@@ -107,7 +107,7 @@ def _fill_demanded_ramp(leader, leader_motion, leader_clock_hz, rate_share, begi
     """Fill `out` with points of a leader's ramp that the follower has to match.
 
     Row 0 gets the times, s, and row 1 the pulses that the follower should have made by then. RAMP_POINTS + 1 columns are filled;
-    the EXTRA_POINTS columns after them stay free for further times.
+    the RAMP_END_POINTS columns after them stay free for further times.
     """
     length = ticks / leader_clock_hz
     for k in range(RAMP_POINTS + 1):

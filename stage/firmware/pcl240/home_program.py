@@ -63,12 +63,14 @@ class FourRunHomeProgram(HomeProgram):
         p.command(a, chip_port.OUTPUT)
         ramp_down = max(fh * fh - fl * fl, 0) * rate // (16384 * c.multiplier) + 5
         p.register(a, chip, "R6", min(leave // 2 + 2, ramp_down))
-        self._add_run(p, "leave", chip_port.PRESET, chip_port.RAMP["FH1"], leave, rest_s=c.settle if leave else 0.0)
+        self._add_run(
+            p, "leave", chip_port.PRESET, chip_port.RAMP_START_COMMANDS["FH1"], leave, rest_s=c.settle if leave else 0.0
+        )
         self._add_run(
             p,
             "search",
             chip_port.ORIGIN | chip_port.MINUS | (chip_port.SD if sd else 0),
-            chip_port.RAMP["FH1"],
+            chip_port.RAMP_START_COMMANDS["FH1"],
             0,
             c.settle,
         )

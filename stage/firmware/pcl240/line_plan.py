@@ -19,18 +19,18 @@ from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, ExceededLimit, add_article, unknown_name_error
 from stage.firmware.line_programs import MAX_RAMP_SHARE, compute_peak_rate
-from stage.firmware.path_deviation import compute_path_deviation, compute_perfect_deviation
+from stage.firmware.path_deviation import compute_path_deviation, compute_staircase_deviation
 from stage.firmware.pcl240 import follower_register_search
-from stage.firmware.pcl240.emulated_preset_move import ROW_REGISTERS, compute_ramp_down_offset, trace_row
+from stage.firmware.pcl240.emulated_preset_move import ROW_REGISTERS, compute_ramp_down_offset, trace_preset_move
 from stage.firmware.pcl240.line_register_search import (
-    AS_LEADER,
+    LEADER_MULTIPLIER,
     MAX_R7,
     MAX_SPEED,
     MIN_R7,
     TAILS,
     Candidates,
-    Follower,
-    LeaderMove,
+    FollowerMove,
+    MainAxisMove,
     RegisterRanges,
     compute_equivalent_linear_steps,
     search_registers,
@@ -41,7 +41,7 @@ from stage.support.argument_checks import explain_arguments
 
 MAX_R0 = PCL240K.MAP.registers[0].mask
 MAX_EMULATED_PULSES = 2_000_000  # pulses: longer moves are judged by the closed form alone
-NOTED_DEVIATION_PULSES = 2.0  # pulses
+MIN_DEVIATION_FOR_NOTE_PULSES = 2.0  # pulses
 REFUSED_DEVIATION_PULSES = 5.0  # pulses: refused where shorter ramps would mend it
 
 
@@ -107,7 +107,7 @@ class AxisPlan:
         return compute_ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.curved_end_steps)
 
     @property
-    def offset(self) -> int:
+    def ramp_down_offset(self) -> int:
         """R6 of an automatic ramp-down point, signed."""
         half = (self.chip.MAP.register("R6").mask + 1) // 2
         return (self.registers["R6"] + half) % (2 * half) - half
@@ -152,7 +152,7 @@ class Plan:
     @property
     def perfect(self) -> float:
         """Deviation of axes with rates exactly in ratio and a common start, pulses: even their path is a staircase."""
-        return compute_perfect_deviation(list(self.distances.values()))
+        return compute_staircase_deviation(list(self.distances.values()))
 
     def with_bus_delay(self, bus_delay: float) -> Plan:
         """Return a plan with the same registers, another time between start commands, and the deviation that results.
@@ -174,7 +174,7 @@ class Plan:
             r = a.registers
             cells = {n: r.get(n, "") for n in names}
             if a.automatic:
-                cells["R6"] = f"{a.offset:+}"
+                cells["R6"] = f"{a.ramp_down_offset:+}"
             if "R14" in r:
                 cells["R14"] = f"{r['R14']:04X}h"
             lines.append(
@@ -249,18 +249,18 @@ def plan(
     order = _order_starts(moving)
     leader_name, lead = order[-1], _compute_start_leads(order, bus_delay)
     move, notes = _shorten_to_length(abs(moving[leader_name]), rate, fl, accel, decel)
-    only = dict.fromkeys(shared, AS_LEADER) | dict(multipliers or {})
+    only = dict.fromkeys(shared, LEADER_MULTIPLIER) | dict(multipliers or {})
     move = move._replace(share=share, automatic=automatic, multiplier=max(only.get(leader_name, 0), 0))
     _check_reachable_rates(moving, leader_name, move, rate, hz)
     _check_multipliers(moving, move, only, hz)
     widths = {n: RegisterRanges.from_chip(chip, automatic) for n, (chip, _) in kinds.items()}
-    followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n], only.get(n, 0)) for n in order[:-1]}
+    followers = {n: FollowerMove(abs(moving[n]), hz[n], widths[n], lead[n], only.get(n, 0)) for n in order[:-1]}
     leader, candidates = search_registers(move, hz[leader_name], widths[leader_name], followers)
     rows = {leader_name: leader} | {n: c.registers[0] for n, c in candidates.items()}
     if sum(map(abs, moving.values())) <= MAX_EMULATED_PULSES:
         _choose_by_emulation(rows, leader_name, kinds, followers, candidates)
     line_plan = _evaluate_rows(moving, rows, kinds, automatic, bus_delay)
-    return replace(line_plan, notes=(*notes, *_list_remarks(line_plan.axes, move, line_plan.deviation)))
+    return replace(line_plan, notes=(*notes, *_list_notes(line_plan.axes, move, line_plan.deviation)))
 
 
 def _check_distance(name: str, distance: Any) -> int:
@@ -337,22 +337,24 @@ def _check_rates_and_times(
         raise ArgumentError(f"bus_delay={bus_delay!r}: start commands are 0 to 1 s apart.")
 
 
-def _shorten_to_length(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[LeaderMove, list[str]]:
+def _shorten_to_length(
+    length: int, rate: float, fl: float, accel: float, decel: float
+) -> tuple[MainAxisMove, list[str]]:
     """Return the move of the longest axis with a peak rate and ramps that fit into `length` pulses, and notes about the changes."""
     if rate <= fl:
-        return LeaderMove(length, fl, fl, 0.0, 0.0), []
+        return MainAxisMove(length, fl, fl, 0.0, 0.0), []
     room = max(min(MAX_RAMP_SHARE * length, length - 2 * TAILS[0]), 0.0)
     peak = float(compute_peak_rate(fl, rate, room, accel, decel))
     if peak >= rate:
-        return LeaderMove(length, rate, fl, accel, decel), []
+        return MainAxisMove(length, rate, fl, accel, decel), []
     if peak < 1.2 * fl:
-        return LeaderMove(length, fl, fl, 0.0, 0.0), [f"{length} pulses are too few for a ramp: constant {fl:g} pps"]
+        return MainAxisMove(length, fl, fl, 0.0, 0.0), [f"{length} pulses are too few for a ramp: constant {fl:g} pps"]
     part = (peak - fl) / (rate - fl)
     note = f"{length} pulses are too few for {rate:g} pps at this slope: peaks at {peak:.0f} pps"
-    return LeaderMove(length, peak, fl, accel * part, decel * part), [note]
+    return MainAxisMove(length, peak, fl, accel * part, decel * part), [note]
 
 
-def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: float, clocks_hz: dict) -> None:
+def _check_reachable_rates(moving: dict, leader: str, move: MainAxisMove, rate: float, clocks_hz: dict) -> None:
     """Raise ArgumentError for rates of a line that no registers of one of its axes can make."""
     max_rate = clocks_hz[leader] * MAX_SPEED / (8192 * MIN_R7)
     if max(rate, move.fh) > max_rate:
@@ -375,7 +377,7 @@ def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: fl
 
 
 def _check_multipliers(
-    moving: dict, move: LeaderMove, received_multipliers: Mapping[str, int], clocks_hz: dict
+    moving: dict, move: MainAxisMove, received_multipliers: Mapping[str, int], clocks_hz: dict
 ) -> None:
     """Raise ArgumentError for rates that an axis cannot make with the R7 of the clock that its chip receives."""
     for name, d in moving.items():
@@ -394,16 +396,16 @@ def _check_multipliers(
 
 
 def _choose_by_emulation(
-    rows: dict, leader_name: str, kinds: dict, followers: dict[str, Follower], candidates: Mapping[str, Candidates]
+    rows: dict, leader_name: str, kinds: dict, followers: dict[str, FollowerMove], candidates: Mapping[str, Candidates]
 ) -> None:
     """Choose the best candidates of the followers by running emulated chips, and store their registers in `rows`."""
     leader = rows[leader_name]
-    pulses = trace_row(leader, kinds[leader_name][0]) / kinds[leader_name][1]
+    pulses = trace_preset_move(leader, kinds[leader_name][0]) / kinds[leader_name][1]
     for name, choice in candidates.items():
         best = np.inf
         d, hz, _, lead, _ = followers[name]
         for row in choice.registers[choice.scores < 1e17]:
-            own = trace_row(row, kinds[name][0]) / hz - lead
+            own = trace_preset_move(row, kinds[name][0]) / hz - lead
             deviation = compute_path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
             if deviation < best - 1e-9:
                 best, rows[name] = deviation, row
@@ -427,7 +429,7 @@ def _evaluate_rows(distances: dict[str, int], rows: dict, kinds: dict, automatic
         row, (chip, hz) = rows[n], kinds[n]
         by_itself = automatic and bool(row[6] > 1)  # a slow axis' last pulse may come before it would ramp down
         if exact:
-            pulses = trace_row(row, chip, by_itself)
+            pulses = trace_preset_move(row, chip, by_itself)
             paths.append((pulses / hz - lead[n], 1))
             last = pulses[-1]
         else:
@@ -467,7 +469,7 @@ def _compute_start_leads(order: list[str], bus_delay: float) -> dict[str, float]
     return {n: float(bus_delay) * (len(order) - 1 - k) for k, n in enumerate(order)}
 
 
-def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> list[str]:
+def _list_notes(axes: dict[str, AxisPlan], move: MainAxisMove, deviation: float) -> list[str]:
     """List notes about requests for a line that registers cannot make exactly. Raises ArgumentError if the axes leave the line."""
     notes = []
     for name, a in axes.items():
@@ -491,7 +493,7 @@ def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float)
             notes.append(
                 f"axis {name}: FL {a.fl:.4g} pps instead of {move.fl * own:.4g}: the nearest that keeps to the line"
             )
-    if deviation > NOTED_DEVIATION_PULSES:
+    if deviation > MIN_DEVIATION_FOR_NOTE_PULSES:
         notes.append(
             f"the closest registers leave the line by {deviation:.1f} pulses: another rate or other ramps may come closer"
         )

@@ -147,7 +147,7 @@ class RatioLinePrograms(LinePrograms):
         for a, j in enumerate(self._controls):
             ops[:, j, 3] |= np.where(moves.distances[:, a] < 0, chip_port.MINUS, 0)
         order = np.argsort(moves.magnitudes, axis=1, kind="stable")
-        ramps = np.where(rows[:, :, 2] > rows[:, :, 1], chip_port.RAMP["FH1"], chip_port.START["FH1"])
+        ramps = np.where(rows[:, :, 2] > rows[:, :, 1], chip_port.RAMP_START_COMMANDS["FH1"], chip_port.START["FH1"])
         ops[:, self._first :, 1] = np.array([h.index for h in self.drivers])[order]
         ops[:, self._first :, 3] = np.take_along_axis(ramps, order, 1)
         return ops

@@ -17,14 +17,14 @@ from stage.errors import ArgumentError
 from stage.firmware.pcl240 import follower_register_search
 from stage.firmware.pcl240.preset_move_closed_form import compute_ramp_stretch, set_s_curve_registers
 
-LONG = 500_000  # pulses
+LONG_MOVE_PULSES = 500_000  # pulses
 LEADERS, LEADERS_LONG = 6, 60  # tried; more for a long move, in which small errors of the ratio add up
 SHIFTS, SHIFTS_LONG = 4, 12  # speed steps around the given rate
 RATE_ERROR = 2e-3
-MATCH = 1e-6  # pulses of drift over the move: an exact ratio
-DRIFT = 0.05  # pulses that the ratio may cost a follower before another leader is preferred
-GOOD = 1.03  # a follower's score, about its largest distance in its pulses: search no further
-HOPELESS = 1.5  # not a matter of the tail
+EXACT_RATIO_DRIFT_PULSES = 1e-6  # pulses of drift over the move: an exact ratio
+ACCEPTED_DRIFT_PULSES = 0.05  # pulses that the ratio may cost a follower before another leader is preferred
+SUFFICIENT_SCORE = 1.03  # a follower's score, about its largest distance in its pulses: search no further
+MAX_SCORE_FOR_TAIL_VARIATION = 1.5  # not a matter of the tail
 TAILS = (5, 8, 11, 14, 4, 6, 9)  # pulses at FL after the ramp-down; first the data sheet's R6 = Psd + 5
 TAIL_SECONDS, TAIL_SHARE = 0.02, 0.05  # what a longer one may cost: seconds, or a share of the move
 
@@ -58,7 +58,7 @@ class RegisterRanges(NamedTuple):
         return cls(legal["R4"][1], legal["R0" if automatic else "R6"][1], 10 if chip.S_CURVES else 8)
 
 
-class LeaderMove(NamedTuple):
+class MainAxisMove(NamedTuple):
     """Requested move of the leader, the longest axis of a line.
 
     Attributes:
@@ -83,11 +83,11 @@ class LeaderMove(NamedTuple):
     multiplier: int = 0
 
 
-AS_LEADER = -1
-"""Value of `Follower.multiplier` that stands for the R7 of the leader, which the search chooses."""
+LEADER_MULTIPLIER = -1
+"""Value of `FollowerMove.multiplier` that stands for the R7 of the leader, which the search chooses."""
 
 
-class Follower(NamedTuple):
+class FollowerMove(NamedTuple):
     """Requested move of a follower, an axis of a line other than the longest one.
 
     Attributes:
@@ -95,7 +95,7 @@ class Follower(NamedTuple):
         clock_hz: Reference clock of its chip, Hz.
         widths: Ranges of its registers.
         lead: Seconds by which it is started before the leader.
-        multiplier: The only possible R7, or AS_LEADER; 0 for any.
+        multiplier: The only possible R7, or LEADER_MULTIPLIER; 0 for any.
     """
 
     pulses: int
@@ -114,7 +114,7 @@ class Candidates(NamedTuple):
 
 
 def search_registers(
-    move: LeaderMove, clock_hz: int, ranges: RegisterRanges, followers: Mapping[str, Follower]
+    move: MainAxisMove, clock_hz: int, ranges: RegisterRanges, followers: Mapping[str, FollowerMove]
 ) -> tuple[np.ndarray, dict[str, Candidates]]:
     """Choose rows of registers (see follower_register_search.py) for the leader and its followers.
 
@@ -139,7 +139,7 @@ def search_registers(
         for leader in _vary_tail_lengths(bare, clock_hz, ranges.point):
             candidates = {}
             for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
-                only = int(leader[7]) if multiplier == AS_LEADER else multiplier
+                only = int(leader[7]) if multiplier == LEADER_MULTIPLIER else multiplier
                 if name not in rises:
                     rises[name] = np.zeros((follower_register_search.MAX_CANDIDATES, size), np.int64)
                     scores = np.empty(follower_register_search.MAX_CANDIDATES)
@@ -157,9 +157,9 @@ def search_registers(
             worst = max((k.scores[0] for k in candidates.values()), default=0.0)
             if worst < least:
                 least, best = worst, (leader, candidates)
-            if worst <= GOOD:
+            if worst <= SUFFICIENT_SCORE:
                 return leader, candidates
-            if worst > HOPELESS:
+            if worst > MAX_SCORE_FOR_TAIL_VARIATION:
                 break
     if best is None:
         raise ArgumentError(f"{move.length} pulses leave no room for ramps of {move.up:.3g} and {move.down:.3g} s.")
@@ -167,7 +167,7 @@ def search_registers(
 
 
 def _list_leaders(
-    move: LeaderMove, clock_hz: int, ranges: RegisterRanges, followers: Mapping[str, Follower]
+    move: MainAxisMove, clock_hz: int, ranges: RegisterRanges, followers: Mapping[str, FollowerMove]
 ) -> list[np.ndarray]:
     """List rows of registers for the leader (longest axis) of a line, with R6 = 0, the most promising first.
 
@@ -175,7 +175,7 @@ def _list_leaders(
     rate.
     """
     finest = min(MAX_R7, int(clock_hz * MAX_SPEED / (8192 * move.fh) + 1e-9))
-    tried, max_shift = (LEADERS_LONG, SHIFTS_LONG) if move.length > LONG else (LEADERS, SHIFTS)
+    tried, max_shift = (LEADERS_LONG, SHIFTS_LONG) if move.length > LONG_MOVE_PULSES else (LEADERS, SHIFTS)
     grids, shifts = np.arange(max(MIN_R7, finest // 16), finest + 1), np.arange(-max_shift, max_shift + 1)
     if move.multiplier:
         grids = np.array([move.multiplier])
@@ -201,10 +201,18 @@ def _list_leaders(
         misfit = np.zeros(len(pick))
         least = min(100.0, d / move.length * move.fh * 8192 * MAX_R7 / own_hz / 2)
         follower_register_search.compute_rate_misfits(
-            high[pick], r7[pick], clock_hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit
+            high[pick],
+            r7[pick],
+            clock_hz,
+            d / move.length,
+            own_hz,
+            least,
+            EXACT_RATIO_DRIFT_PULSES / d,
+            multiplier,
+            misfit,
         )
         off = np.maximum(off, misfit * d)
-    best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
+    best = pick[np.argsort(np.maximum(off, ACCEPTED_DRIFT_PULSES) + error[pick], kind="stable")]
     unshifted = pick[shift[pick] == 0]
     spread = unshifted[np.linspace(len(unshifted) - 1, 0, tried // 2).astype(int)] if len(unshifted) else unshifted
     zero = np.zeros(len(r7))
@@ -230,7 +238,7 @@ def compute_equivalent_linear_steps(steps: Any, share: float) -> Any:
 
 
 def _refuse_ramp(
-    move: LeaderMove, clock_hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray
+    move: MainAxisMove, clock_hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray
 ) -> None:
     """Raise ArgumentError for ramps that no R7 can make; the message states the possible range."""
     gain = compute_equivalent_linear_steps((high - low)[high > low], move.share)

@@ -97,10 +97,10 @@ class Pcl240Pattern(move_plot_signals.OperationPattern):
             notes.append(
                 PatternAnnotation(float(times[k]), "", f"R0 < R6 = {waveforms.edges['counter'][k] + 1:,d}", True)
             )
-        return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
+        return sorted([*notes, *self.make_end_annotations()], key=lambda n: n.time)
 
-    def describe_end(self) -> list[PatternAnnotation]:
-        return [n._replace(words="stop at FL") if n.words == "stop" else n for n in super().describe_end()]
+    def make_end_annotations(self) -> list[PatternAnnotation]:
+        return [n._replace(words="stop at FL") if n.words == "stop" else n for n in super().make_end_annotations()]
 
 
 def _describe_mode_command(byte: int, halted: bool) -> str:

@@ -20,7 +20,7 @@ from stage.firmware.pcl240.procedure_observer import Pcl240Observer
 from stage.firmware.pcl240.speed_profile import Profile
 from stage.support.argument_checks import check_timeout, explain_arguments
 
-AUTOMATIC_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
+RAMP_DOWN_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 
 
 @explain_arguments
@@ -83,7 +83,7 @@ def preset_move(
         automatic = can_be_automatic and down_point is None and not slow_down
     control = chip_port.PRESET | (chip_port.SD if slow_down else 0) | encode_direction(pulses)
     if automatic:
-        point = encode_offset(profile, AUTOMATIC_OFFSET_PULSES if down_point is None else down_point)
+        point = encode_ramp_down_offset(profile, RAMP_DOWN_OFFSET_PULSES if down_point is None else down_point)
         control |= chip_port.AUTOMATIC
     else:
         profile = profile.for_distance(count, fh2)
@@ -103,7 +103,7 @@ def preset_move(
         return p.finish(compute_time_limit(timeout, profile, count), pulses)
 
 
-def start_preset(port: ChipPort, profile: Profile, pulses: int) -> None:
+def start_preset_move(port: ChipPort, profile: Profile, pulses: int) -> None:
     """Start a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait for its end.
 
     Raises:
@@ -114,10 +114,10 @@ def start_preset(port: ChipPort, profile: Profile, pulses: int) -> None:
     profile = profile.for_distance(count)
     write_move_setup(port, profile, chip_port.PRESET | encode_direction(pulses))
     port.write_registers(R0=count, R6=profile.compute_ramp_down_point(count))
-    port.write_command(chip_port.RAMP["FH1"])
+    port.write_command(chip_port.RAMP_START_COMMANDS["FH1"])
 
 
-def encode_offset(profile: Profile, offset: int) -> int:
+def encode_ramp_down_offset(profile: Profile, offset: int) -> int:
     """Encode the signed offset of the automatic ramp-down point, in pulses, as the value of R6.
 
     Raises:
@@ -184,7 +184,7 @@ def continuous_move(
         axis.wait(seconds)
         if p.port.read_status().operating:
             stop = chip_port.SLOW_DOWN["FH2" if fh2 else "FH1"] if high_speed and not immediate else chip_port.RESET
-            p.port.write_command(stop | (chip_port.INTERRUPT if interrupt else 0))
+            p.port.write_command(stop | (chip_port.STOP_INTERRUPT_BIT if interrupt else 0))
         return p.finish(2 * profile.get_decel_time(fh2) + 1)
 
 
@@ -231,10 +231,10 @@ def interrupted_move(
     with Pcl240Observer(axis, "interrupted move") as p:
         write_move_setup(p.port, profile, chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
-        p.port.write_command(chip_port.RAMP[rate])
+        p.port.write_command(chip_port.RAMP_START_COMMANDS[rate])
         axis.wait(after)
         if p.port.read_status().operating:
-            p.port.write_command(chip_port.SLOW_DOWN[rate] | chip_port.INTERRUPT)
+            p.port.write_command(chip_port.SLOW_DOWN[rate] | chip_port.STOP_INTERRUPT_BIT)
         p.port.wait_until_stopped(compute_time_limit(timeout, profile, count))
         if residual := p.port.read_counter():
             axis.wait(pause)
@@ -243,7 +243,7 @@ def interrupted_move(
             if rest != profile:
                 p.port.write_registers(**rest.registers())
             p.port.write_register("R6", rest.compute_ramp_down_point(residual, fh2))
-            p.port.write_command(chip_port.RAMP[rate])
+            p.port.write_command(chip_port.RAMP_START_COMMANDS[rate])
             p.port.wait_until_stopped(compute_time_limit(timeout, profile, residual))
         axis.wait(SETTLING_TIME_S)
         return p.make_report(p.find_stop_reason(), pulses)
@@ -381,8 +381,8 @@ def encode_direction(direction: int) -> int:
 
 def _encode_start(high_speed: bool, fh2: bool, interrupt: bool) -> int:
     """Return the start command of the PCL-240 for a speed, with or without an interrupt at the stop."""
-    start = (chip_port.RAMP if high_speed else chip_port.START)["FH2" if fh2 else "FH1"]
-    return start | (chip_port.INTERRUPT if interrupt else 0)
+    start = (chip_port.RAMP_START_COMMANDS if high_speed else chip_port.START)["FH2" if fh2 else "FH1"]
+    return start | (chip_port.STOP_INTERRUPT_BIT if interrupt else 0)
 
 
 def compute_time_limit(timeout: float | None, profile: Profile, count: int) -> float:

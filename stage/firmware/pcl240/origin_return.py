@@ -114,7 +114,7 @@ def _run_to_origin(observer: Pcl240Observer, direction: int, high_speed: bool, t
         logic = chip_port.compute_polarity_bits(port.axis).get("R13", 0)
         port.write_register("R13", logic | (chip_port.encode_index_pulse_number(ez) if ez else 0))
     port.write_control_mode(chip_port.ORIGIN | (chip_port.SD if high_speed else 0) | encode_direction(direction))
-    port.write_command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
+    port.write_command(chip_port.RAMP_START_COMMANDS["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
     return observer.find_stop_reason()
@@ -128,7 +128,7 @@ def _leave_origin(observer: Pcl240Observer, direction: int, back_off: int, high_
     """
     port = observer.port
     port.write_control_mode(encode_direction(direction))
-    port.write_command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
+    port.write_command(chip_port.RAMP_START_COMMANDS["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until(lambda s: not s.org or not s.operating, timeout, expected_event="the release of ORG")
     port.write_command(chip_port.SLOW_DOWN["FH1"] if high_speed else chip_port.RESET)
     port.wait_until_stopped(timeout)

@@ -66,14 +66,14 @@ def find_stop_reason(journal: Journal) -> str:
         "R0 = 0", "ORG", "EZ", "EL+", "EL-", "decelerating stop", "reset command" or "reset pin"; "" while the chip runs, and if
         it has not been started.
     """
-    core, rows = journal.chip.CORE, np.frombuffer(bytearray(journal.start.tobytes()), journal.chip.CORE.STATE)
+    core, rows = journal.chip.CORE, np.frombuffer(bytearray(journal.start_state.tobytes()), journal.chip.CORE.STATE)
     chip, reason, slowing = rows[0], "", False
     for entry in (*journal.entries, None):
         was_running = bool(chip["running"])
-        core.advance(rows, journal.until if entry is None else entry.clock)
+        core.advance(rows, journal.end_clock if entry is None else entry.clock)
         if was_running and not chip["running"]:
             # inputs change with entries only: they are still as they were at the stop
-            reason = find_present_stop_cause(chip) or ("decelerating stop" if slowing else "")
+            reason = find_present_stop_reason(chip) or ("decelerating stop" if slowing else "")
         if entry is None:
             break
         was_running = bool(chip["running"])
@@ -84,7 +84,7 @@ def find_stop_reason(journal: Journal) -> str:
         elif chip["running"]:
             reason, slowing = "", stops or (slowing and not starts)
         elif starts and not stops and chip["armed"]:
-            reason = find_present_stop_cause(chip) or reason
+            reason = find_present_stop_reason(chip) or reason
     return "" if chip["running"] else reason
 
 
@@ -95,7 +95,7 @@ def _decode_command(entry: Any) -> tuple[bool, bool]:
     return bool(entry.b & bits.START), bool(entry.b & bits.STOP)
 
 
-def find_present_stop_cause(chip: Any) -> str:
+def find_present_stop_reason(chip: Any) -> str:
     """Return what stops a PCL-240 now, or keeps it from starting, apart from commands; "" for nothing.
 
     Args:

@@ -103,7 +103,7 @@ def dual_rate_move(
 def _check_rates(rates: Sequence[str]) -> list[str]:
     """Return the names of rates (FL, FH1, FH2) as a list. Raises ArgumentError for an empty sequence or an unknown name."""
     for rate in rates:
-        if rate not in chip_port.RAMP:
+        if rate not in chip_port.RAMP_START_COMMANDS:
             raise ArgumentError(f"rate {rate!r}: a chip has FL, FH1 and FH2.")
     if not rates:
         raise ArgumentError("rates is empty: give at least one of FL, FH1, FH2.")
@@ -113,7 +113,7 @@ def _check_rates(rates: Sequence[str]) -> list[str]:
 def _run_through_rates(observer: Pcl240Observer, rates: list[str], dwell: float) -> Status:
     """Start a move at the first rate, change to each further rate, and return the last status, which may show a stop."""
     constant = rates[0] == "FL"
-    observer.port.write_command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
+    observer.port.write_command(chip_port.START["FL"] if constant else chip_port.RAMP_START_COMMANDS[rates[0]])
     status = _wait_for_rate(observer.port)
     for rate in rates[1:]:
         observer.axis.wait(dwell if status.operating else 0.0)
@@ -121,9 +121,9 @@ def _run_through_rates(observer: Pcl240Observer, rates: list[str], dwell: float)
         if not status.operating:
             break
         if constant:  # section 5 h, note: set bit 2 before the rate changes
-            observer.port.write_command(chip_port.RAMP["FL"])
+            observer.port.write_command(chip_port.RAMP_START_COMMANDS["FL"])
         constant = False
-        observer.port.write_command(chip_port.RAMP[rate])
+        observer.port.write_command(chip_port.RAMP_START_COMMANDS[rate])
         status = _wait_for_rate(observer.port)
     return status
 
@@ -165,7 +165,7 @@ def speed_change_move(
     with Pcl240Observer(axis, "speed change in motion") as p:
         write_move_setup(p.port, replace(profile, R2=speeds[0]), chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
-        p.port.write_command(chip_port.RAMP["FH1"])
+        p.port.write_command(chip_port.RAMP_START_COMMANDS["FH1"])
         for k, speed in enumerate(speeds[1:], 1):
             axis.wait(dwell if _wait_for_rate(p.port).operating else 0.0)
             if not p.port.read_status().operating:
@@ -220,7 +220,7 @@ def curved_ramp_move(
             p.port, replace(profile, R2=speeds[0], R4=ramps[0]), chip_port.PRESET | encode_direction(pulses)
         )
         p.port.write_registers(R0=count, R6=point)
-        p.port.write_command(chip_port.RAMP["FH1"])
+        p.port.write_command(chip_port.RAMP_START_COMMANDS["FH1"])
         for k, (speed, ramp) in enumerate(zip(speeds[1:], ramps[1:], strict=True), 1):
             if not _wait_for_rate(p.port).operating:
                 break
@@ -238,7 +238,7 @@ def _change_speed(port: ChipPort, index: int, speed: int) -> None:
     """Make the k-th change of speed: write the unused register (FH2 and FH1 alternate), and ramp to its speed."""
     register, rate = ("R3", "FH2") if index % 2 else ("R2", "FH1")
     port.write_register(register, speed)
-    port.write_command(chip_port.RAMP[rate])
+    port.write_command(chip_port.RAMP_START_COMMANDS[rate])
 
 
 def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list[int]:

@@ -338,12 +338,12 @@ class Profile:
         return linear | {"R14": up, "R15": down}
 
     @property
-    def _up_span(self) -> int | None:
+    def _up_curved_end_steps(self) -> int | None:
         """Number of speed steps in each curved end of an S-curve ramp up; None for a linear ramp."""
         return self.spans[0] if self.spans else None
 
     @property
-    def _down_span(self) -> int | None:
+    def _down_curved_end_steps(self) -> int | None:
         """Number of speed steps in each curved end of an S-curve ramp down; None for a linear ramp."""
         return self.spans[1] if self.spans else None
 
@@ -373,11 +373,15 @@ class Profile:
 
     def get_accel_time(self, fh2: bool = False) -> float:
         """Return the duration of the ramp from FL to FH1, or to FH2, s."""
-        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R4, self.clock_hz, self._up_span)
+        return compute_ramp_seconds(
+            self.R1, self.get_high_speed(fh2), self.R4, self.clock_hz, self._up_curved_end_steps
+        )
 
     def get_decel_time(self, fh2: bool = False) -> float:
         """Return the duration of the ramp from FH1, or from FH2, to FL, s."""
-        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down_span)
+        return compute_ramp_seconds(
+            self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down_curved_end_steps
+        )
 
     def compute_ramp_down_point(self, pulses: int, fh2: bool = False) -> int:
         """Compute R6, the ramp-down point of a preset move. Raises ArgumentError where R6 cannot hold it.
@@ -390,7 +394,13 @@ class Profile:
             Value of R6.
         """
         point = compute_down_point(
-            pulses, self.R1, max(self.get_high_speed(fh2), self.R1), self.R4, self.R5, self.R7, self._down_span
+            pulses,
+            self.R1,
+            max(self.get_high_speed(fh2), self.R1),
+            self.R4,
+            self.R5,
+            self.R7,
+            self._down_curved_end_steps,
         )
         return self.chip.MAP.check_value("R6", point)
 
@@ -412,8 +422,8 @@ class Profile:
             self.R4,
             self.R5,
             self.R7,
-            self._up_span or 0,
-            self._down_span or 0,
+            self._up_curved_end_steps or 0,
+            self._down_curved_end_steps or 0,
         )
         high = max(high, self.R1)
         return replace(self, R3=high) if fh2 else replace(self, R2=high)
@@ -428,7 +438,9 @@ class Profile:
         speed_before, total, stops = self.R1, 0.0, [*speeds, self.R1]
         for k, speed in enumerate(stops):
             low, high = sorted((speed_before, speed))
-            rate, span = (self.R4, self._up_span) if speed > speed_before else (self.R5, self._down_span)
+            rate, span = (
+                (self.R4, self._up_curved_end_steps) if speed > speed_before else (self.R5, self._down_curved_end_steps)
+            )
             total += compute_ramp_pulses(low, high, rate, self.R7, span)
             total += dwell * speed * self.rate_per_speed_step if k < len(stops) - 2 else 0.0
             speed_before = speed

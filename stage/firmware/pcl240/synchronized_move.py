@@ -106,7 +106,9 @@ def _run_plan(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> 
                 chip_port.PRESET | minus | (chip_port.AUTOMATIC if line_plan.axes[n].automatic else 0)
             )
         for n, p in watch.items():  # nothing between the starts but the bus
-            p.port.write_command(chip_port.RAMP["FH1"] if line_plan.axes[n].has_ramps else chip_port.START["FH1"])
+            p.port.write_command(
+                chip_port.RAMP_START_COMMANDS["FH1"] if line_plan.axes[n].has_ramps else chip_port.START["FH1"]
+            )
             line.note_start(n)
         with line.attach_reports_to_timeout():
             stopped_by = _wait_for_axes(

@@ -74,7 +74,7 @@ class StepDirDriver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         with ProcedureObserver(self.axis, "move") as procedure:
             self.start(pulses, speeds)
-            reason = self.wait(estimate_seconds(pulses, speeds) if timeout is None else timeout)
+            reason = self.wait(compute_time_limit(pulses, speeds) if timeout is None else timeout)
             self.axis.wait(SETTLING_TIME_S)
             return procedure.make_report(reason, pulses)
 
@@ -208,7 +208,7 @@ class StepDirDriver(Driver):
             early_stop = EarlyStopHandler(observer, moving)
             axes = [driver.axis for driver in moving.values()]
             with observer.attach_reports_to_timeout():
-                limit_s = estimate_seconds(events, speeds) if timeout is None else timeout
+                limit_s = compute_time_limit(events, speeds) if timeout is None else timeout
                 wait_until_stopped(axes, limit_s, on_poll=early_stop)
             axes[0].wait(SETTLING_TIME_S)
             return observer.make_report(
@@ -253,7 +253,7 @@ def encode_command(command: str, direction: int) -> int:
     return MAP.command(f"{command}{'+' if direction > 0 else '-'}").code
 
 
-def estimate_seconds(pulses: int, speeds: Speeds) -> float:
+def compute_time_limit(pulses: int, speeds: Speeds) -> float:
     """Estimate a generous time for a move: half as much again as it takes at the slower of its rates, and one second."""
     slowest = max(1.0, min(speeds.start or speeds.drive, speeds.drive))
     return 1.5 * abs(pulses) / slowest + 3.0 * (speeds.up + speeds.down) + 1.0

@@ -29,15 +29,15 @@ class BresenhamLinePrograms(LinePrograms):
         program = Program()
         for axis, driver in enumerate(self.drivers):
             for column, name in enumerate(self.names):
-                self._add_register(program, driver, name, column)
-            self._add_register(program, driver, "STEPS", len(self.names) + 1 + axis)
-            self._add_register(program, driver, "EVENTS", len(self.names))
+                self._add_register_column(program, driver, name, column)
+            self._add_register_column(program, driver, "STEPS", len(self.names) + 1 + axis)
+            self._add_register_column(program, driver, "EVENTS", len(self.names))
         self._first_start = len(program)
         for driver in self.drivers:
             program.command(driver.index, MAP.command("MOVE+").code)
         self._template = np.array(program.ops, np.int64)
 
-    def _add_register(self, program: Program, driver: Driver, name: str, column: int) -> None:
+    def _add_register_column(self, program: Program, driver: Driver, name: str, column: int) -> None:
         """Add the write of a register whose value is a column of `write_programs`."""
         program.register(driver.index, driver.chip, name, 0)
         self._mark_column_operation(program, 1, column)

@@ -20,8 +20,8 @@ from stage.support.extras import import_extra
 
 FEATURE_NAME = "a fleet on a GPU"
 """Name of the feature that needs the libraries, for error messages."""
-ALL_LANES = 0xFFFFFFFF
-INLINED = ("_flag_edges",)
+FULL_WARP_MASK = 0xFFFFFFFF
+INLINED_FUNCTIONS = ("_flag_edges",)
 """Functions that return an array made from an address, which numba-cuda only takes where it is inlined."""
 
 
@@ -135,18 +135,18 @@ def make_cuda_tools() -> CompilerTools:
 
     @cuda.jit(device=True)
     def is_true_in_warp(condition: Any) -> Any:
-        return cuda.any_sync(ALL_LANES, condition)
+        return cuda.any_sync(FULL_WARP_MASK, condition)
 
     @cuda.jit(device=True)
     def read_value_in_warp(value: Any, thread: Any) -> Any:
-        return cuda.shfl_sync(ALL_LANES, value, thread)
+        return cuda.shfl_sync(FULL_WARP_MASK, value, thread)
 
     @cuda.jit(device=True)
     def get_thread_number() -> Any:
         return cuda.grid(1)
 
     return CompilerTools(
-        device=lambda f: cuda.jit(device=True, inline="always" if f.__name__ in INLINED else "never")(f),
+        device=lambda f: cuda.jit(device=True, inline="always" if f.__name__ in INLINED_FUNCTIONS else "never")(f),
         kernel=cuda.jit,
         replaced={native.array_at: array_at, native.allocate_on_stack: allocate_on_stack, native.floor: floor},
         lane_names={
@@ -202,7 +202,7 @@ class DeviceModules:
 
     def _copy_value(self, value: Any, module: ModuleType) -> Any:
         """Return the object that replaces a global of a module in the module's copy: a device function for a hot function."""
-        if isinstance(value, native.Exported):
+        if isinstance(value, native.ExportedFunction):
             value = value.function
         for function, replacement in self._tools.replaced.items():
             if value is function:

@@ -19,16 +19,16 @@ from stage.drives.stepper import DRIVE
 from stage.errors import ArgumentError, GpuMissing, StageError
 from stage.sim import engine_records, fleet, program_player
 from stage.sim.gpu.gpu_compilation import FEATURE_NAME, CompilerTools, DeviceModules, make_cuda_tools
-from stage.sim.gpu.lane_memory_layout import HOST, WARP, LaneLayout
+from stage.sim.gpu.lane_memory_layout import PROGRAM_STATE, THREADS_PER_WARP, LaneLayout
 from stage.sim.gpu.warp_physics import WarpPhysics, load_warp
 from stage.sim.program import Program
 from stage.sim.stage import Stage
 from stage.support.argument_checks import explain_arguments
 from stage.support.extras import import_extra
 
-KERNELS = ("stage.chips.pcl240.core", "stage.chips.hctl1100.core")
+TESTED_CORES = ("stage.chips.pcl240.core", "stage.chips.hctl1100.core")
 """Cores of the chip families whose code was tested on a GPU."""
-STEPS_A_LAUNCH = 20
+STEPS_PER_LAUNCH = 20
 
 
 class GpuFleet(fleet.Fleet):
@@ -129,7 +129,7 @@ class GpuFleet(fleet.Fleet):
                 f"copy {int(np.argmax(overflowed))} of the fleet: more contacts at once than the model has over the travel of its "
                 "joints. Run such a stage on a processor."
             )
-        status = self.records()["host"]["status"]
+        status = self.read_records()["host"]["status"]
         return fleet.PlayedPrograms(
             self.arrays["results"].numpy()[:, : self._used].copy(),
             self._extremes.copy_to_host(),
@@ -152,7 +152,7 @@ class GpuFleet(fleet.Fleet):
         self._start_hosts()
 
     def advance(self) -> bool:
-        """Play the loaded programs for STEPS_A_LAUNCH physics steps, and return whether any program has not ended."""
+        """Play the loaded programs for STEPS_PER_LAUNCH physics steps, and return whether any program has not ended."""
         going = np.zeros(1, np.int32)
         self._playing.copy_to_device(going)
         self.physics.launch_graph(self._graph)
@@ -164,14 +164,14 @@ class GpuFleet(fleet.Fleet):
         rows, numbers, _, tables, _, clockwork = self._tables
 
         def inspect() -> None:
-            self._inspect[self._block_count, WARP, self._stream](
+            self._inspect[self._block_count, THREADS_PER_WARP, self._stream](
                 self._words, rows, numbers, tables, clockwork, self._qpos, self._qvel, self._device_truth
             )
 
         self.physics.run(inspect)
         return self._device_truth.copy_to_host()
 
-    def records(self) -> dict[str, np.ndarray]:
+    def read_records(self) -> dict[str, np.ndarray]:
         """Return the records of every copy of the stage as arrays on the host, by the names of `LaneLayout.unpack`."""
         return self._layout.unpack(self._words.copy_to_host(), len(self))
 
@@ -193,11 +193,11 @@ class GpuFleet(fleet.Fleet):
     @property
     def _block_count(self) -> int:
         """Number of CUDA blocks of the fleet's kernels, each of one warp (32 threads)."""
-        return self._layout.count_threads(len(self)) // WARP
+        return self._layout.count_threads(len(self)) // THREADS_PER_WARP
 
     def _advance_lanes(self) -> None:
         """Enqueue the kernel that advances all lanes by a window."""
-        self._advance[self._block_count, WARP, self._stream](
+        self._advance[self._block_count, THREADS_PER_WARP, self._stream](
             self._words, *self._tables, self._ops, self._results, *self._rest
         )
 
@@ -229,7 +229,7 @@ class GpuFleet(fleet.Fleet):
             self.physics.run(self._advance_lanes)
 
         def enqueue_steps() -> None:
-            for _ in range(STEPS_A_LAUNCH):
+            for _ in range(STEPS_PER_LAUNCH):
                 enqueue_step()
 
         self._graph = self.physics.capture_graph(enqueue_steps)
@@ -239,15 +239,15 @@ def check_stage(stage: Stage) -> None:
     """Raise ArgumentError for a stage that the kernel cannot advance."""
     state, cores = stage.state, {chip.CORE.__name__ for chip in stage.chips}
     for name, axis in stage.axes.items():
-        if axis.chip.CORE.__name__ not in KERNELS:
+        if axis.chip.CORE.__name__ not in TESTED_CORES:
             raise ArgumentError(
                 f"axis {name}: {type(axis.chip).__name__} has no kernel for a GPU. The PCL-240 family and HCTL-1100 have one; "
                 "leave out device= to run the fleet on this machine's processors."
             )
     if len(cores) > 1:
         raise ArgumentError("the chips of a stage on a GPU are of one family.")
-    if len(stage.chips) > WARP:
-        raise ArgumentError(f"{len(stage.chips)} chips: a stage on a GPU has {WARP} at most.")
+    if len(stage.chips) > THREADS_PER_WARP:
+        raise ArgumentError(f"{len(stage.chips)} chips: a stage on a GPU has {THREADS_PER_WARP} at most.")
     if state.chip_table["wire"].any() or state.chip_table["link"].any():
         raise ArgumentError("syni=, multichip=: chips that are wired together do not run on a GPU.")
     if fleet.is_observed(stage):
@@ -274,7 +274,7 @@ def _compile_lane_kernels(core: ModuleType, sizes: tuple[int, ...], tools: Compi
     modules = DeviceModules(core, tools)
     dtypes = {
         "W_STATE": (state, 1), "W_AXES": (engine_records.AXIS, axes), "W_DRIVES": (DRIVE, axes),
-        "W_SWITCHES": (engine_records.SWITCH, switches), "W_WORLD": (engine_records.WORLD, 1), "W_HOST": (HOST, 1),
+        "W_SWITCHES": (engine_records.SWITCH, switches), "W_WORLD": (engine_records.STAGE_TIME, 1), "W_HOST": (PROGRAM_STATE, 1),
     }  # fmt: skip
     names = {name: dtype.itemsize // 8 * n for name, (dtype, n) in dtypes.items()}
     names |= {"STATE": state, "DRIVE": DRIVE, "LANES": lanes, "AXES": axes, "SWITCHES": switches}

@@ -17,22 +17,22 @@ from typing import Any
 
 from stage.chips import core_interface
 from stage.drives import drive_dispatch
-from stage.sim.engine_records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, compute_clock_at
+from stage.sim.engine_records import AXIS, MAX_JOINT_SPEED, NS_PER_SECOND, SLICES, STAGE_TIME, SWITCH, compute_clock_at
 from stage.sim.gpu.gpu_compilation import LaneChip
-from stage.sim.gpu.lane_memory_layout import HOST, PLAYING, WARP
+from stage.sim.gpu.lane_memory_layout import PLAYING, PROGRAM_STATE, THREADS_PER_WARP
 from stage.sim.program import AWAIT_STOP, AWAIT_STOP_OR_LOST_STEP, END, MEASURE, READ, SAMPLE_POSITION, WRITE
 from stage.sim.program_player import DIVERGED, PLAYED, inspect_axis
 from stage.sim.switch_edges import find_next_edge, predict_axis_switch_edges, process_axis_edges
 from stage.sim.warm_start_prediction import apply_effort
 
-LOST = 1 << 62
+LOST_STEP_BIT = 1 << 62
 """Bit beside those of the axes in motion: AWAIT_STOP_OR_LOST_STEP has found a lost step."""
 
 STATE: Any = None
 DRIVE: Any = None
 LANES = AXES = SWITCHES = BUS = 1
 W_STATE = W_AXES = W_DRIVES = W_SWITCHES = W_WORLD = W_HOST = 1
-ENCODERS = False
+HAS_ENCODERS = False
 is_true_in_warp: Any = None
 read_value_in_warp: Any = None
 get_thread_number: Any = None
@@ -72,11 +72,11 @@ def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_
         The slice in which `stop` is.
     """
     start, hz, edge = world.start, chip.hz, find_next_edge(axes, chip)
-    clock, rest = compute_clock_at(start, hz), start % SECOND * hz % SECOND
+    clock, rest = compute_clock_at(start, hz), start % NS_PER_SECOND * hz % NS_PER_SECOND
     while now < stop:
         bound = start + (slice_index + 1) * window_ns // SLICES
         now = min(min(bound, stop), max(edge, now))
-        core_interface.run(chip, clock + (rest + (now - start) * hz) // SECOND)
+        core_interface.run(chip, clock + (rest + (now - start) * hz) // NS_PER_SECOND)
         if edge <= now:
             for j in range(chip.axes):
                 if axes[j].next_edge <= now:
@@ -140,14 +140,14 @@ def begin_window(world, host, chip, axes, table, switches, switch_table, clockwo
     world.start += clockwork.dt
     world.steps += 1
     for k in range(qvel.shape[0]):
-        if not abs(qvel[k]) < MAX_SPEED:
+        if not abs(qvel[k]) < MAX_JOINT_SPEED:
             host.status = DIVERGED
     for j in range(chip.axes):
         t = table[j]
         x, speed = qpos[t.qpos], qvel[t.dof]
         predict_axis_switch_edges(world, clockwork, axes[j], t, switches, switch_table, sensordata, x, speed, True)
-        if ENCODERS:
-            tau = float(world.now - world.start) / SECOND - clockwork.half
+        if HAS_ENCODERS:
+            tau = float(world.now - world.start) / NS_PER_SECOND - clockwork.half
             core_interface.set_shaft(chip, j, (x + speed * tau) * t.counts, speed * t.counts / chip.hz)
 
 
@@ -173,7 +173,7 @@ def choose_polls(host, places, lane, end):
     return now, polled, time, axis, False
 
 
-def has_lost_a_step(chip, drives, table, axis_numbers, mask, qpos, qvel, tau):
+def has_lost_step(chip, drives, table, axis_numbers, mask, qpos, qvel, tau):
     """Return whether one of the lane's axes in the mask has lost a step. `tau` is the time since that of `qpos`, s."""
     for j in range(chip.axes):
         t = table[j]
@@ -196,7 +196,7 @@ def advance_lanes(
         words: Records of all lanes as words, see `LaneLayout`.
         rows: Row of each lane, see `LaneLayout`.
         axis_numbers: Number of each axis of a lane in the stage.
-        places: AXIS_PLACE record of each axis of the stage: its lane, its number there, and its indices in qpos and qvel.
+        places: AXIS_INDICES record of each axis of the stage: its lane, its number there, and its indices in qpos and qvel.
         tables: AXIS_TABLE rows of each lane.
         switch_tables: SWITCH_TABLE rows of each lane.
         clockworks: One CLOCKWORK.
@@ -217,10 +217,14 @@ def advance_lanes(
         playing: (1,), set to 1 if any program has not ended.
     """
     thread = get_thread_number()
-    in_warp = thread % WARP
+    in_warp = thread % THREADS_PER_WARP
     group = in_warp // LANES
-    copy, lane, first = thread // WARP * (WARP // LANES) + group, in_warp - group * LANES, group * LANES
-    in_use = copy < qpos.shape[0] and group < WARP // LANES
+    copy, lane, first = (
+        thread // THREADS_PER_WARP * (THREADS_PER_WARP // LANES) + group,
+        in_warp - group * LANES,
+        group * LANES,
+    )
+    in_use = copy < qpos.shape[0] and group < THREADS_PER_WARP // LANES
     if not in_use:  # it takes part in the votes of its warp
         copy = lane = 0
     clockwork = clockworks[0]
@@ -228,8 +232,8 @@ def advance_lanes(
     chip_records, axes, drives = cuda.local.array(1, STATE), cuda.local.array(AXES, AXIS), cuda.local.array(AXES, DRIVE)
     switches, world_records, host_records = (
         cuda.local.array(SWITCHES, SWITCH),
-        cuda.local.array(1, WORLD),
-        cuda.local.array(1, HOST),
+        cuda.local.array(1, STAGE_TIME),
+        cuda.local.array(1, PROGRAM_STATE),
     )
     if in_use:
         load_records(view_as_words(chip_records, W_STATE), words, 0, thread)
@@ -315,9 +319,9 @@ def advance_lanes(
                 polling
                 and judged
                 and kind == AWAIT_STOP_OR_LOST_STEP
-                and has_lost_a_step(c, drives, table, numbers, a, q, v, tau)
+                and has_lost_step(c, drives, table, numbers, a, q, v, tau)
             ):
-                moving |= LOST
+                moving |= LOST_STEP_BIT
             in_motion, moving = moving, 0
             for k in range(LANES):
                 moving |= read_value_in_warp(in_motion, first + k)
@@ -330,7 +334,7 @@ def advance_lanes(
                 if beyond:
                     acting = False
                 elif judged:
-                    took, lost = now - host.begin, moving & LOST
+                    took, lost = now - host.begin, moving & LOST_STEP_BIT
                     if lost or host.left == 0 or took >= x:
                         if lane == 0:
                             results[copy, op] = took if host.left == 0 and not lost else -took
@@ -372,15 +376,15 @@ def advance_lanes(
 def inspect_lanes(words, rows, axis_numbers, tables, clockworks, qpos, qvel, truth):
     """Fill truth[copy, axis] with the true state of every axis, TRUTH records. The kernel has the threads of `advance_lanes`."""
     thread = get_thread_number()
-    in_warp = thread % WARP
+    in_warp = thread % THREADS_PER_WARP
     group = in_warp // LANES
-    copy, lane = thread // WARP * (WARP // LANES) + group, in_warp - group * LANES
-    if copy >= qpos.shape[0] or group >= WARP // LANES:
+    copy, lane = thread // THREADS_PER_WARP * (THREADS_PER_WARP // LANES) + group, in_warp - group * LANES
+    if copy >= qpos.shape[0] or group >= THREADS_PER_WARP // LANES:
         return
     chip_records, drives, world_records = (
         cuda.local.array(1, STATE),
         cuda.local.array(AXES, DRIVE),
-        cuda.local.array(1, WORLD),
+        cuda.local.array(1, STAGE_TIME),
     )
     load_records(view_as_words(chip_records, W_STATE), words, 0, thread)
     load_records(view_as_words(drives, W_DRIVES), words, W_STATE + W_AXES, thread)

@@ -15,10 +15,10 @@ from stage.native import record
 from stage.sim import engine_records
 from stage.sim.stage import Stage
 
-WARP = 32
+THREADS_PER_WARP = 32
 PLAYING = -1
-"""`status` of a HOST whose program goes on; otherwise how it ended, see `stage.sim.program_player`."""
-HOST = record(
+"""`status` of a PROGRAM_STATE whose program goes on; otherwise how it ended, see `stage.sim.program_player`."""
+PROGRAM_STATE = record(
     [(name, "i8") for name in "op started until begin left poll status stepped frozen".split()]
     + [(name, "f8") for name in "x0 y0 z0 x1 y1 z1".split()]
 )
@@ -28,7 +28,7 @@ program ended; 1 where physics has moved the copy since; 1 where the program is 
 smallest box that contains the path of a measured point (m)."""
 LANE_ROW = record([("axes", "i8"), ("hz", "i8"), ("ticks", "f8")])
 """Constants of a lane's chip: number of axes in use, clock in Hz, clocks in a slice."""
-AXIS_PLACE = record([(name, "i8") for name in "lane axis qpos dof".split()])
+AXIS_INDICES = record([(name, "i8") for name in "lane axis qpos dof".split()])
 """Position of an axis of the stage: its lane, its number in the lane, its indices in qpos and qvel."""
 
 
@@ -55,7 +55,7 @@ class LaneLayout:
         self.switches = max(1, *map(len, self._switches))
         self._parts = (
             ("chip", stage.chips[0].CORE.STATE, 1), ("axes", engine_records.AXIS, self.axes), ("drives", DRIVE, self.axes),
-            ("switches", engine_records.SWITCH, self.switches), ("world", engine_records.WORLD, 1), ("host", HOST, 1),
+            ("switches", engine_records.SWITCH, self.switches), ("world", engine_records.STAGE_TIME, 1), ("host", PROGRAM_STATE, 1),
         )  # fmt: skip
         self.words = sum(dtype.itemsize // 8 * n for _, dtype, n in self._parts)
         self._set_tables(spans)
@@ -65,9 +65,9 @@ class LaneLayout:
         state = self._state
         self.rows = np.zeros(self.lanes, LANE_ROW)
         self.axis_numbers = np.zeros((self.lanes, self.axes), np.int64)
-        self.places = np.zeros(len(state.axis_table), AXIS_PLACE)
-        self.tables = np.zeros((self.lanes, self.axes), engine_records.AXIS_TABLE)
-        self.switch_tables = np.zeros((self.lanes, self.switches), engine_records.SWITCH_TABLE)
+        self.places = np.zeros(len(state.axis_table), AXIS_INDICES)
+        self.tables = np.zeros((self.lanes, self.axes), engine_records.AXIS_ROW)
+        self.switch_tables = np.zeros((self.lanes, self.switches), engine_records.SWITCH_ROW)
         for i, (own, span) in enumerate(zip(self._axes, spans, strict=True)):
             chip = state.chip_table[i]
             self.rows[i] = chip.axes, chip.hz, chip.ticks
@@ -83,27 +83,27 @@ class LaneLayout:
 
     def count_threads(self, copies: int) -> int:
         """Count the threads that a number of copies needs. The lanes of a copy are always in one warp."""
-        return -(-copies // (WARP // self.lanes)) * WARP
+        return -(-copies // (THREADS_PER_WARP // self.lanes)) * THREADS_PER_WARP
 
     def _number_threads(self, copies: int) -> np.ndarray:
         """Return the thread of each lane, (copies, lanes)."""
-        in_warp = WARP // self.lanes
+        in_warp = THREADS_PER_WARP // self.lanes
         k = np.arange(copies)
-        first = k // in_warp * WARP + k % in_warp * self.lanes
+        first = k // in_warp * THREADS_PER_WARP + k % in_warp * self.lanes
         return first[:, None] + np.arange(self.lanes)
 
     def pack(self, copies: int) -> np.ndarray:
         """Return the words of all lanes, (words, threads) int64, with each copy in the present state of the stage."""
         out = np.zeros((self.words, self.count_threads(copies)), np.int64)
-        out[:, self._number_threads(copies)] = np.stack([self._make_lane(i) for i in range(self.lanes)], axis=1)[
+        out[:, self._number_threads(copies)] = np.stack([self._pack_lane(i) for i in range(self.lanes)], axis=1)[
             :, None
         ]
         return out
 
-    def _make_lane(self, lane_index: int) -> np.ndarray:
+    def _pack_lane(self, lane_index: int) -> np.ndarray:
         """Return the words of one lane in the present state of the stage."""
         state, pieces, axes = self._state, [], self._axes[lane_index]
-        host = np.zeros(1, HOST)
+        host = np.zeros(1, PROGRAM_STATE)
         host["status"] = engine_records.REACHED
         present = {
             "chip": state.chips[lane_index], "axes": state.axes[axes], "drives": state.drives[axes],
@@ -145,8 +145,8 @@ class LaneLayout:
         }
 
     def find_host_words(self) -> tuple[int, Any]:
-        """Return the row at which the words of a HOST record begin, and the words of a HOST that begins its program."""
-        host = np.zeros(1, HOST)
+        """Return the row at which the words of a PROGRAM_STATE record begin, and these words at the start of a program."""
+        host = np.zeros(1, PROGRAM_STATE)
         host["status"] = PLAYING
         words = host.view(np.int64)
         return self.words - len(words), words

@@ -13,7 +13,7 @@ from stage.errors import GpuMissing, ModelError
 from stage.sim.gpu.gpu_compilation import FEATURE_NAME
 from stage.support.extras import import_extra
 
-POSITIONS_TRIED = 41  # of each joint, where contacts and constraints are counted
+POSITIONS_PER_JOINT = 41  # of each joint, where contacts and constraints are counted
 SPARE_CONTACTS, SPARE_CONSTRAINTS = 4, 8
 
 
@@ -58,7 +58,7 @@ class WarpPhysics:
         self._mujoco_warp: Any = import_extra("mujoco_warp", FEATURE_NAME)
         model = copy.copy(model)
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # mujoco-warp has no such flag
-        contacts, constraints = count_constraints(model)
+        contacts, constraints = count_contacts_and_constraints(model)
         begin = mujoco.MjData(model)
         for name in ("qpos", "qvel", "act", "ctrl", "qacc_warmstart"):
             getattr(begin, name)[:] = getattr(data, name)
@@ -101,14 +101,14 @@ class WarpPhysics:
         return (self.data.overflow.numpy() & ~self._tolerated) != 0
 
 
-def count_constraints(model: mujoco.MjModel) -> tuple[int, int]:
+def count_contacts_and_constraints(model: mujoco.MjModel) -> tuple[int, int]:
     """Return the largest numbers of contacts and of constraints while each joint, and then all joints, move over their travel."""
     data = mujoco.MjData(model)
     limited = model.jnt_limited.astype(bool)
     place = model.jnt_qposadr[limited]
     low, high = model.jnt_range[limited].T
     contacts = constraints = 0
-    for share in np.linspace(0.0, 1.0, POSITIONS_TRIED):
+    for share in np.linspace(0.0, 1.0, POSITIONS_PER_JOINT):
         for k in range(-1, len(place)):
             data.qpos[:] = model.qpos0
             data.qpos[place] = 0.5 * (low + high)

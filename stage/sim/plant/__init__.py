@@ -20,7 +20,7 @@ angle at joint position 0; by default half a turn from where ORG trips, as an en
 docs/models.md explains the contract and holds a complete small model.
 """
 
-from stage.sim.engine_records import PINS
+from stage.sim.engine_records import SWITCH_PINS
 from stage.sim.plant.model_preparation import (
     compile_spec,
     discard_visuals,
@@ -38,7 +38,7 @@ from stage.sim.plant.naming_contract import PlantAxis, bind_axes, format_axes
 from stage.sim.plant.switch_finder import Switch
 
 __all__ = [
-    "PINS", "PlantAxis", "Switch", "bind_axes", "compile_spec", "discard_visuals", "find_axis_names",
+    "SWITCH_PINS", "PlantAxis", "Switch", "bind_axes", "compile_spec", "discard_visuals", "find_axis_names",
     "find_motor_names", "fit_actuator", "format_axes", "list_model_names", "open_shared_spec", "open_spec",
     "read_dc_constants", "reserve_fitted_values", "view_fitted_values",
 ]  # fmt: skip

@@ -30,12 +30,12 @@ _MARKUP = re.compile(
     r"""<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<![^>]*>|(<[^<>"'!?](?:[^<>"']|"[^"]*"|'[^']*')*+>)""", re.DOTALL
 )
 """Comments, sections of text, declarations, each as long as for MuJoCo; and tags, so that none of the others begins in one."""
-_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+_CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _LITERAL_AMPERSAND = re.compile(r"&(?!(?:amp|lt|gt|quot|apos|#[0-9]+|#x[0-9a-fA-F]+);)")
 _PNG, _PNG_SIZE = b"\x89PNG\r\n\x1a\n", slice(16, 24)
-_FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes of <compiler>
-_SIZES = re.compile(r"nuser.*|nkey")
-_SENSOR_SIZES = ("dim", "num", "nsample")
+_FOLDER_ATTRIBUTES = ("meshdir", "texturedir", "assetdir")  # attributes of <compiler>
+_SIZE_ATTRIBUTES = re.compile(r"nuser.*|nkey")
+_SENSOR_SIZE_ATTRIBUTES = ("dim", "num", "nsample")
 
 
 def check_model_size(path: Path) -> None:
@@ -72,7 +72,7 @@ class _ModelSizeCounter:
             raise ModelError(f"{self.path} reads more than {MAX_MODEL_FILES:,} files. Merge or remove some of them.")
         root = _parse_bounded_xml(path)
         for compiler in root.iter("compiler"):
-            self._folders |= {path.parent / compiler.get(name, "") for name in _FOLDERS}
+            self._folders |= {path.parent / compiler.get(name, "") for name in _FOLDER_ATTRIBUTES}
         self._folders.add(path.parent)
         models = {m.get("name") or Path(m.get("file", "")).stem: m.get("file", "") for m in root.iter("model")}
         stack = [(root, copies)]
@@ -107,14 +107,14 @@ class _ModelSizeCounter:
             self._check_limit(tag, "segments a side", resolution, MAX_MESH_RESOLUTION)
         elif tag == "size":
             self._add_sizes(element)
-        elif sizes := [_multiply_counts(element.get(name)) for name in _SENSOR_SIZES if element.get(name)]:
+        elif sizes := [_multiply_counts(element.get(name)) for name in _SENSOR_SIZE_ATTRIBUTES if element.get(name)]:
             self._readings += copies * math.prod(sizes)
             self._check_limit(tag, "readings", self._readings, MAX_ARRAY_SIZE)
 
     def _add_sizes(self, element: ElementTree.Element) -> None:
         """Count the sizes that an element declares, such as the userdata of <size>."""
         for name, value in element.items():
-            if _SIZES.fullmatch(name):
+            if _SIZE_ATTRIBUTES.fullmatch(name):
                 self._check_limit(element.tag, name, _multiply_counts(value), MAX_ARRAY_SIZE)
                 if name != "nkey":
                     self._user_numbers = max(self._user_numbers, _multiply_counts(value))
@@ -171,7 +171,7 @@ class _BoundedTreeBuilder(ElementTree.TreeBuilder):
 def _parse_bounded_xml(path: Path) -> ElementTree.Element:
     """Parse an XML file as leniently as MuJoCo does: any bytes in texts, any dashes in comments, no entities."""
     content = read_bytes(path, "MJCF file", MAX_FILE_BYTES, ModelError).decode(errors="replace")
-    text = _MARKUP.sub(lambda match: match[1] or "", _CONTROL.sub(" ", content))
+    text = _MARKUP.sub(lambda match: match[1] or "", _CONTROL_CHARACTER.sub(" ", content))
     text = _LITERAL_AMPERSAND.sub("&amp;", text[max(text.find("<"), 0) :])
     try:
         return ElementTree.fromstring(text, ElementTree.XMLParser(target=_BoundedTreeBuilder(path)))

@@ -63,7 +63,7 @@ _compiled: dict[tuple, tuple[mujoco.MjModel, int]] = {}
 def open_shared_spec(source: Any) -> Any:
     """Open a model for a stage: a shipped one by its name as a SharedSpec, any other as `open_spec` does."""
     if isinstance(source, str) and source in list_model_names():
-        state = _read_model_versions()
+        state = _read_modification_times()
         return SharedSpec(source, _load_shipped_spec(source, state), state)
     return open_spec(source)
 
@@ -91,7 +91,7 @@ def open_spec(source: Any) -> Any:
     if not path.suffix and len(path.parts) == 1:
         if str(source) not in list_model_names():
             raise unknown_name_error("model", str(source), list_model_names())
-        return _load_shipped_spec(str(source), _read_model_versions()).copy()
+        return _load_shipped_spec(str(source), _read_modification_times()).copy()
     if not os.path.lexists(path):
         near = find_similar_names(path.stem, list_model_names(), 0.5)
         hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
@@ -112,7 +112,7 @@ def _find_model_folder() -> Path:
     return Path(import_module("stage.models").__path__[0])
 
 
-def _read_model_versions() -> tuple[int, ...]:
+def _read_modification_times() -> tuple[int, ...]:
     """Return a value that changes whenever a file of a shipped model changes."""
     return tuple(sorted(f.stat().st_mtime_ns for f in _find_model_folder().iterdir() if f.is_file()))
 

@@ -15,10 +15,13 @@ import numpy as np
 
 MARGIN_M, LOOKAHEAD_M = -0.03, 0.01  # m: of a pair; the vane is detected from LOOKAHEAD_M before the touch on
 SCREW_GEAR, TABLE_GEAR = 628.3185307, 10.0  # rotor radians per m of a screw of 10 mm lead; per rad of a table
-JOINT_RANGE = {"slide": (-0.15, 0.15), "hinge": (-3.1416, 3.1416)}  # of a joint whose hard stops are not found: m, rad
+DEFAULT_JOINT_RANGES = {
+    "slide": (-0.15, 0.15),
+    "hinge": (-3.1416, 3.1416),
+}  # of a joint whose hard stops are not found: m, rad
 VANE_HALF_THICKNESS_M, BEAM_RADIUS_M, VANE_SPACING_M = 0.0005, 0.0005, 0.004
 MAX_GEAR, MIN_GEAR = 1e9, 1e-6
-COLORS = {"el": "0.86 0.16 0.15 1", "sd": "0.98 0.68 0.08 1", "org": "0.12 0.66 0.32 1"}
+SWITCH_RGBA = {"el": "0.86 0.16 0.15 1", "sd": "0.98 0.68 0.08 1", "org": "0.12 0.66 0.32 1"}
 
 
 class Proposal(NamedTuple):
@@ -89,7 +92,7 @@ def _list_joint_names(model: mujoco.MjModel) -> list[str]:
 
 def propose_carriage(axis: str) -> Proposal:
     """Propose a body with the joint of an axis, for a model that has no such joint."""
-    low, high = JOINT_RANGE["slide"]
+    low, high = DEFAULT_JOINT_RANGES["slide"]
     joint = _format_element(
         "joint", name=axis, type="slide", axis=[1, 0, 0], range=[low, high], limited="false", damping=60, frictionloss=4
     )
@@ -190,7 +193,7 @@ def has_pair(model: mujoco.MjModel, vane: str, switch: str) -> bool:
     return any({model.geom(a).name, model.geom(b).name} == {vane, switch} for a, b in pairs)
 
 
-def propose_unfitted(axis: str, pins: Iterable[str], exists: bool) -> Proposal:
+def propose_unfitted_switches_text(axis: str, pins: Iterable[str], exists: bool) -> Proposal:
     """Propose the text that names the switches that an axis does not have.
 
     Args:
@@ -234,13 +237,13 @@ def propose_flag_geoms(
         size = [0.004 + sag / 2, radius * np.sin(half) - BEAM_RADIUS_M, VANE_HALF_THICKNESS_M]
     anchor, common = model.jnt_pos[joint], {"contype": "0", "conaffinity": "0", "mass": "0"}
     vane = _format_element(
-        "geom", name=names[0], type="box", size=size, pos=_round(anchor + rotation @ vane_place),
-        quat=_round(_to_quaternion(rotation)), rgba=COLORS[pin.split("_")[0]], **common,
+        "geom", name=names[0], type="box", size=size, pos=_round_coordinates(anchor + rotation @ vane_place),
+        quat=_round_coordinates(_to_quaternion(rotation)), rgba=SWITCH_RGBA[pin.split("_")[0]], **common,
     )  # fmt: skip
     turn = _to_matrix(model.body_quat[body])
     beam = _format_element(
         "geom", name=names[1], type="sphere", size=BEAM_RADIUS_M,
-        pos=_round(model.body_pos[body] + turn @ (anchor + rotation @ beam_place)), rgba="1 0.3 0.2 1", **common,
+        pos=_round_coordinates(model.body_pos[body] + turn @ (anchor + rotation @ beam_place)), rgba="1 0.3 0.2 1", **common,
     )  # fmt: skip
     joint_name = model.joint(joint).name
     parent_name = model.body(parent).name
@@ -253,7 +256,7 @@ def propose_flag_geoms(
     ]
 
 
-def _round(values: np.ndarray) -> np.ndarray:
+def _round_coordinates(values: np.ndarray) -> np.ndarray:
     """Round coordinates to a nanometer, and -0 to 0."""
     return np.round(values, 9) + 0.0
 

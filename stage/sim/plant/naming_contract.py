@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 
 from stage.errors import ModelError
-from stage.sim.engine_records import PINS
-from stage.sim.model_fingerprint import compute_fingerprint
+from stage.sim.engine_records import SWITCH_PINS
+from stage.sim.model_fingerprint import compute_model_digest
 from stage.sim.plant.model_preparation import AXIS_JOINT_TYPES, SharedSpec, find_axis_names, read_texts
 from stage.sim.plant.model_proposals import (
-    JOINT_RANGE,
+    DEFAULT_JOINT_RANGES,
     MAX_GEAR,
     MIN_GEAR,
     propose_carriage,
@@ -26,7 +26,7 @@ from stage.sim.plant.naming_contract_errors import ModelProblems, find_nearest_n
 from stage.sim.plant.switch_finder import Switch, SwitchFinder
 from stage.units import POSITION_UNITS
 
-MAX_BOUND_PLANTS = 64
+MAX_CACHED_PLANTS = 64
 MIN_PARALLEL_COSINE = 0.99  # the least cosine between the joints of tandem axes
 
 
@@ -78,9 +78,9 @@ def bind_axes(model: mujoco.MjModel, axes: Sequence[str] | None = None, source: 
     """
     try:
         names = tuple(axes if axes is not None else find_axis_names(model))
-        key = compute_fingerprint(model), names
+        key = compute_model_digest(model), names
         if key not in _bound:
-            if len(_bound) >= MAX_BOUND_PLANTS:
+            if len(_bound) >= MAX_CACHED_PLANTS:
                 _bound.clear()
             _bound[key] = _AxisBinder(model, list(names), source).bind()
         return _bound[key]
@@ -116,7 +116,9 @@ def _list_undriven_joints(model: mujoco.MjModel) -> list[str]:
     """List joints with switches that no actuator of the same name drives, in words."""
     joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, k) for k in range(model.njnt)} - {None}
     sensors = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, k) for k in range(model.nsensor)}
-    lost = sorted(j for j in joints - set(find_axis_names(model)) if any(f"{j}_{pin}" in sensors for pin in PINS))
+    lost = sorted(
+        j for j in joints - set(find_axis_names(model)) if any(f"{j}_{pin}" in sensors for pin in SWITCH_PINS)
+    )
     return [f"joint {j!r} has switches, but no actuator is named {j!r}: it is no axis" for j in lost]
 
 
@@ -187,7 +189,7 @@ class _AxisBinder:
         m, obj = self.model, mujoco.mjtObj
         joint, actuator = self._find_id(obj.mjOBJ_JOINT, name), self._find_id(obj.mjOBJ_ACTUATOR, name)
         if joint < 0:
-            near = self._find_near_joint(name)
+            near = self._find_similarly_named_joint(name)
             self.problems.add_problem(
                 name,
                 f"no joint {name!r}{suggest_name(m, obj.mjOBJ_JOINT, m.njnt, name, self.axes)}",
@@ -203,7 +205,7 @@ class _AxisBinder:
             return None
         low, high = (float(v) for v in m.jnt_range[joint])
         if int(m.jnt_type[joint]) not in AXIS_JOINT_TYPES:
-            line = propose_joint(m, joint, name, None if low < high else JOINT_RANGE["slide"], self.degrees)
+            line = propose_joint(m, joint, name, None if low < high else DEFAULT_JOINT_RANGES["slide"], self.degrees)
             self.problems.add_problem(name, f"joint {name!r} is neither slide nor hinge", line)
             return None
         if not low < high:
@@ -211,14 +213,14 @@ class _AxisBinder:
             self.problems.add_problem(name, f"joint {name!r} has no range, so its switches cannot be looked for", line)
         gear = float(m.actuator_gear[actuator][0])
         servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
-        self._check_drive(name, joint, actuator, servo)
+        self._check_armature_and_actuator(name, joint, actuator, servo)
         unfitted = self._read_missing_switches(name)
         if not low < high:
             return None
         flag_distances = self.switches.measure_flag_distances(name, joint, low, high)
         switches_found = [
             self.switches.find_switch(name, pin, joint, low, high, flag_distances, unfitted)
-            for pin in PINS
+            for pin in SWITCH_PINS
             if pin not in unfitted
         ]
         switches = tuple(s for s in switches_found if s is not None)
@@ -229,14 +231,14 @@ class _AxisBinder:
             self._find_index_angle(name, gear, switches), switches,
         )  # fmt: skip
 
-    def _find_near_joint(self, name: str) -> int:
+    def _find_similarly_named_joint(self, name: str) -> int:
         """Return the id of a slide or hinge that is no axis itself and whose name is similar, -1 if there is none."""
         kinds = self.model.jnt_type.tolist()
         others = {self.model.joint(k).name: k for k, kind in enumerate(kinds) if kind in AXIS_JOINT_TYPES}
         near = find_nearest_name(name, (other for other in others if other not in self.axes))
         return others[near[0]] if near else -1
 
-    def _check_drive(self, name: str, joint: int, actuator: int, servo: bool) -> None:
+    def _check_armature_and_actuator(self, name: str, joint: int, actuator: int, servo: bool) -> None:
         """Check the armature of the joint, and its actuator."""
         m = self.model
         armature = float(m.dof_armature[m.jnt_dofadr[joint]])
@@ -261,10 +263,10 @@ class _AxisBinder:
         """Return the switches that an axis does not have."""
         unfitted = self.texts.get(f"{name}_unfitted", "").split()
         for pin in unfitted:
-            if pin not in PINS:
-                near = "".join(f" (meant {p!r}?)" for p in find_nearest_name(pin, PINS))
+            if pin not in SWITCH_PINS:
+                near = "".join(f" (meant {p!r}?)" for p in find_nearest_name(pin, SWITCH_PINS))
                 self.problems.add_problem(
-                    name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}"
+                    name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(SWITCH_PINS)}"
                 )
         return unfitted
 

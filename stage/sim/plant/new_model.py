@@ -1,7 +1,7 @@
-"""`new_model`: writes a commented MJCF model that keeps the naming contract. Each axis moves the next one.
+"""`build_model_text`: writes a commented MJCF model that keeps the naming contract. Each axis moves the next one.
 
     axes = [NewAxis.parse("x:slide:300mm"), NewAxis.parse("a:hinge:360deg")]
-    text = new_model(axes)
+    text = build_model_text(axes)
 
 A slide is a carriage on a screw of 10 mm lead, a hinge a table on a 10:1 gear. The travel of an axis is that between its end
 limits. From minus to plus an axis has: hard stop, EL-, ORG (asserted at and below the origin), SD-, SD+, EL+, hard stop. A hinge of
@@ -41,12 +41,16 @@ HALF_CARRIAGE_M, END_PLATE_M = (
     0.04,
     0.01,
 )  # m: half the length of a carriage; thickness of the plates at the ends of a slide
-HALF_MOTOR_M = 0.021  # m: half the width of a motor
+HALF_MOTOR_WIDTH_M = 0.021  # m: half the width of a motor
 BENCH_MARGIN_M, BENCH_THICKNESS_M = 0.04, 0.02  # m: the bench is larger than the machine by this, on each side
 CAMERA_FOVY_DEG, CAMERA_AZIMUTH_DEG, CAMERA_ELEVATION_DEG = 30.0, -120.0, 24.0  # seen from in front, on the left
 CAMERA_ASPECT, CAMERA_FILL = 16 / 9, 0.94  # of the picture; the share of it that the machine and its bench take
-DIRECTIONS = {"x": "1 0 0 0", "y": "1 0 0 1", "z": "1 0 -1 0"}  # quaternions: how the x of a slide's own frame lies
-INVERSE_DIRECTIONS = {"x": "1 0 0 0", "y": "1 0 0 -1", "z": "1 0 1 0"}
+SLIDE_QUATERNIONS = {
+    "x": "1 0 0 0",
+    "y": "1 0 0 1",
+    "z": "1 0 -1 0",
+}  # quaternions: how the x of a slide's own frame lies
+INVERSE_SLIDE_QUATERNIONS = {"x": "1 0 0 0", "y": "1 0 0 -1", "z": "1 0 1 0"}
 BUMPER_RADIUS_M = 0.005  # m
 BEAM_RADIUS_M = 0.0005  # m: radius of a light beam, at whose surface a switch trips
 UNITS_BY_KIND = {"slide": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "hinge": {"deg": 1.0, "rad": 180 / math.pi}}
@@ -109,7 +113,7 @@ class _AxisParts(NamedTuple):
     pairs: list[str]
 
 
-def new_model(axes: Sequence[NewAxis]) -> str:
+def build_model_text(axes: Sequence[NewAxis]) -> str:
     """Return the MJCF of a new model.
 
     Args:
@@ -122,11 +126,11 @@ def new_model(axes: Sequence[NewAxis]) -> str:
     if not axes or len(set(names)) < len(names):
         raise ModelError(f"axes {', '.join(names) or 'none'}: one or more, each of a name of its own.")
     bodies, pairs = _build_bodies(list(axes), _choose_directions(axes))
-    text = _write_model(axes, bodies, pairs, [])
-    return _write_model(axes, bodies, pairs, _build_bench_and_camera(text))
+    text = _format_model_text(axes, bodies, pairs, [])
+    return _format_model_text(axes, bodies, pairs, _build_workbench_and_camera(text))
 
 
-def _write_model(axes: Sequence[NewAxis], bodies: list[str], pairs: list[str], surroundings: list[str]) -> str:
+def _format_model_text(axes: Sequence[NewAxis], bodies: list[str], pairs: list[str], surroundings: list[str]) -> str:
     """Write the MJCF of a model.
 
     Args:
@@ -195,8 +199,8 @@ def _write_model(axes: Sequence[NewAxis], bodies: list[str], pairs: list[str], s
 
 def _choose_directions(axes: Sequence[NewAxis]) -> dict[str, str]:
     """Choose the direction x, y or z of each slide: the one in its name, or the next that no other slide has."""
-    directions = {a.name: a.name.lower() for a in axes if a.kind == "slide" and a.name.lower() in DIRECTIONS}
-    free = [d for d in DIRECTIONS if d not in directions.values()]
+    directions = {a.name: a.name.lower() for a in axes if a.kind == "slide" and a.name.lower() in SLIDE_QUATERNIONS}
+    free = [d for d in SLIDE_QUATERNIONS if d not in directions.values()]
     for a in axes:
         if a.kind == "slide" and a.name not in directions:
             directions[a.name] = free.pop(0) if free else "x"
@@ -214,16 +218,16 @@ def _build_bodies(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list
     above = "0 0 0.04" if direction != "z" else "0 0 0.1"  # a slide upwards carries the next in front of it, on an arm
     arm = '<geom size="0.02 0.02 0.035" pos="0 0 0.065" mass="0.1"/>'
     if direction != "x":
-        inner = [f'<frame quat="{INVERSE_DIRECTIONS[direction]}">', *_indent(inner), "</frame>"]
+        inner = [f'<frame quat="{INVERSE_SLIDE_QUATERNIONS[direction]}">', *_indent(inner), "</frame>"]
     inner = [*([arm] if direction == "z" else []), f'<frame pos="{above}">', *_indent(inner), "</frame>"]
-    reach = _find_stop(a) if a.kind == "slide" else math.radians(_find_stop(a))
+    reach = _compute_stop_distance(a) if a.kind == "slide" else math.radians(_compute_stop_distance(a))
     inertia = _compute_armature(a)
     friction = 'damping="60" frictionloss="4"' if a.kind == "slide" else 'damping="0.02" frictionloss="0.05"'
     axis = 'type="slide" axis="1 0 0"' if a.kind == "slide" else 'type="hinge" axis="0 0 1"'
     kind = "screw of 10 mm lead" if a.kind == "slide" else f"gear {GEAR_RATIO}:1"
     lines = [
         f"<!-- {a.name}: {a.kind}, {_describe_travel(a)}; {kind}; the frame -->",
-        f'<frame pos="0 0 {_measure_column_lift(a, direction):.6g}" quat="{DIRECTIONS[direction]}">',
+        f'<frame pos="0 0 {_measure_column_lift(a, direction):.6g}" quat="{SLIDE_QUATERNIONS[direction]}">',
         *_indent(parts.frame),
         f'  <body name="{a.name}">',
         "    <!-- armature: (rotor + screw) x gear^2 -->"
@@ -237,17 +241,17 @@ def _build_bodies(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list
     return lines, parts.pairs + pairs
 
 
-def _measure_rail(axis: NewAxis) -> float:
+def _compute_rail_half_length(axis: NewAxis) -> float:
     """Return half the length of the base plate of a slide, m."""
-    return _find_stop(axis) + HALF_CARRIAGE_M + 2 * BUMPER_RADIUS_M + END_PLATE_M
+    return _compute_stop_distance(axis) + HALF_CARRIAGE_M + 2 * BUMPER_RADIUS_M + END_PLATE_M
 
 
 def _measure_column_lift(axis: NewAxis, direction: str) -> float:
     """Return the height by which a slide upwards is raised, so that its column stands on what carries it, m."""
-    return _measure_rail(axis) + BASE_BOTTOM_M if direction == "z" else 0.0
+    return _compute_rail_half_length(axis) + BASE_BOTTOM_M if direction == "z" else 0.0
 
 
-def _build_bench_and_camera(text: str) -> list[str]:
+def _build_workbench_and_camera(text: str) -> list[str]:
     """Return the lines of a bench below a model, and of a camera that frames the model.
 
     Args:
@@ -273,7 +277,8 @@ def _build_bench_and_camera(text: str) -> list[str]:
     return [
         f'<geom name="bench" size="{bench[0]:.4g} {bench[1]:.4g} {BENCH_THICKNESS_M / 2}" pos="{middle[0]:.4g} {middle[1]:.4g} '
         f'{low[2] - BENCH_THICKNESS_M / 2:.4g}" rgba="0.50 0.47 0.43 1"/>',
-        f'<camera name="overview" pos="{_format(eye)}" xyaxes="{_format(right)} {_format(up)}" fovy="{CAMERA_FOVY_DEG:g}"/>',
+        f'<camera name="overview" pos="{_format_coordinates(eye)}" '
+        f'xyaxes="{_format_coordinates(right)} {_format_coordinates(up)}" fovy="{CAMERA_FOVY_DEG:g}"/>',
     ]
 
 
@@ -298,7 +303,7 @@ def _find_camera_place(points: np.ndarray, away: np.ndarray, right: np.ndarray, 
     return target + distance * away
 
 
-def _format(values: Sequence[float] | np.ndarray) -> str:
+def _format_coordinates(values: Sequence[float] | np.ndarray) -> str:
     """Format coordinates for an attribute, with five digits."""
     return " ".join(f"{v:.5g}" for v in values)
 
@@ -325,7 +330,7 @@ def _compute_armature(axis: NewAxis) -> float:
     return (ROTOR_INERTIA_KG_M2 + screw) * _compute_gear(axis) ** 2
 
 
-def _find_stop(axis: NewAxis) -> float:
+def _compute_stop_distance(axis: NewAxis) -> float:
     """Return the distance of the hard stops from the middle, m (degrees)."""
     if axis.endless:
         return TURN / 2
@@ -337,7 +342,7 @@ def _list_switches(axis: NewAxis) -> list[_SwitchGeom]:
     green, red, amber = "0.12 0.66 0.32 1", "0.86 0.16 0.15 1", "0.98 0.68 0.08 1"
     if axis.endless:
         return [_SwitchGeom("org", -20.0, 0.0, green)]
-    end, beyond = axis.travel / 2, _find_stop(axis) + (0.005 if axis.kind == "slide" else 2.0)
+    end, beyond = axis.travel / 2, _compute_stop_distance(axis) + (0.005 if axis.kind == "slide" else 2.0)
     return [
         _SwitchGeom("el_plus", end, beyond, red),
         _SwitchGeom("el_minus", -beyond, -end, red),
@@ -355,7 +360,7 @@ def _build_slide(axis: NewAxis, upright: bool) -> _AxisParts:
         upright: Whether the slide stands: its motor is then at the plus end, above.
     """
     wide = 0.045  # m: beams lie beside the carriage
-    rail, inner = _measure_rail(axis), _measure_rail(axis) - END_PLATE_M
+    rail, inner = _compute_rail_half_length(axis), _compute_rail_half_length(axis) - END_PLATE_M
     side = 1 if upright else -1
     frame = [
         f'<geom class="frame" size="{rail:.6g} 0.03 0.008" pos="0 0 -0.01"/>',
@@ -366,8 +371,8 @@ def _build_slide(axis: NewAxis, upright: bool) -> _AxisParts:
             f'<geom class="frame" size="{END_PLATE_M / 2} 0.03 0.017" pos="{sign * (rail - END_PLATE_M / 2):.6g} 0 0.011"/>'
             for sign in (-1, 1)
         ),
-        f'<geom class="motor" size="{HALF_MOTOR_M} {HALF_MOTOR_M} {HALF_MOTOR_M}" '
-        f'pos="{side * (rail + HALF_MOTOR_M):.6g} 0 {BASE_BOTTOM_M + HALF_MOTOR_M:.4g}"/>',
+        f'<geom class="motor" size="{HALF_MOTOR_WIDTH_M} {HALF_MOTOR_WIDTH_M} {HALF_MOTOR_WIDTH_M}" '
+        f'pos="{side * (rail + HALF_MOTOR_WIDTH_M):.6g} 0 {BASE_BOTTOM_M + HALF_MOTOR_WIDTH_M:.4g}"/>',
     ]
     moving = [
         f'<geom name="{axis.name}_carriage" size="{HALF_CARRIAGE_M} 0.04 0.01" pos="0 0 0.02" mass="0.8"/>',
@@ -386,7 +391,7 @@ def _build_slide(axis: NewAxis, upright: bool) -> _AxisParts:
         )
         pairs.append(_make_pair(axis, s))
     for name, sign in (("plus", 1), ("minus", -1)):
-        at = sign * (_find_stop(axis) + HALF_CARRIAGE_M + BUMPER_RADIUS_M)
+        at = sign * (_compute_stop_distance(axis) + HALF_CARRIAGE_M + BUMPER_RADIUS_M)
         frame.append(f'<geom name="{axis.name}_bumper_{name}" class="bumper" pos="{at:.6g} 0 0.02"/>')
         pairs.append(f'<pair class="stop" geom1="{axis.name}_carriage" geom2="{axis.name}_bumper_{name}"/>')
     return _AxisParts(frame, moving, pairs)
@@ -417,7 +422,7 @@ def _build_hinge(axis: NewAxis) -> _AxisParts:
         touch = 2 * math.asin(BUMPER_RADIUS_M / at_radius)  # rad between two balls that touch
         moving.append(f'<geom name="{name}_pin" class="bumper" pos="{at_radius:.6g} 0 0.026"/>')
         for side, sign in (("plus", 1), ("minus", -1)):
-            angle = sign * (math.radians(_find_stop(axis)) + touch)
+            angle = sign * (math.radians(_compute_stop_distance(axis)) + touch)
             place = _place_on_circle(at_radius, angle, 0.026)
             frame.append(f'<geom name="{name}_bumper_{side}" class="bumper" pos="{place}"/>')
             frame += _build_post(post_radius, at_radius, angle, 0.026)

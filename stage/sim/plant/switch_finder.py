@@ -11,18 +11,18 @@ import numpy as np
 
 from stage.sim import flag_distances as flag_scan
 from stage.sim import mujoco_callbacks
-from stage.sim.engine_records import PINS
+from stage.sim.engine_records import SWITCH_PINS
 from stage.sim.mujoco_function_addresses import find_mujoco_address
 from stage.sim.plant.model_preparation import read_texts
 from stage.sim.plant.model_proposals import (
-    JOINT_RANGE,
+    DEFAULT_JOINT_RANGES,
     FlagInterval,
     Proposal,
     has_pair,
     propose_flag_geoms,
     propose_pair,
     propose_sensor,
-    propose_unfitted,
+    propose_unfitted_switches_text,
 )
 from stage.sim.plant.naming_contract_errors import ModelProblems, suggest_name
 
@@ -34,8 +34,16 @@ TRUSTED_TRAVEL_SHARE = (
     0.95  # share of the travel over which it does so; where the contact's direction changes is beyond
 )
 MIN_TRAVEL = 1e-12  # joint travel; below it the sensor and the joint's position do not differ
-FULL_TURN = 2 * np.pi
-_DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3), ("NORMAL", 3), ("TANGENT", 3))
+FULL_TURN_RAD = 2 * np.pi
+_SENSOR_FIELD_SIZES = (
+    ("FOUND", 1),
+    ("FORCE", 3),
+    ("TORQUE", 3),
+    ("DIST", 1),
+    ("POS", 3),
+    ("NORMAL", 3),
+    ("TANGENT", 3),
+)
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,7 @@ class SwitchFinder:
     @property
     def _known_sensor_names(self) -> list[str]:
         """Names of the sensors of all axes and switches: a name of another object cannot be a misspelling of one of these."""
-        return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in PINS)]
+        return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in SWITCH_PINS)]
 
     def _guess_flag_geoms(self, axis: str, pin: str) -> tuple[str, str] | None:
         """Guess the geoms of vane and switch of a pin from the names of the model's geoms; None if not both have such a name."""
@@ -129,12 +137,12 @@ class SwitchFinder:
         m = self.model
         if self._limit_to_one_turn(joint, low, high)[2] and pin != "org":
             exists = f"{axis}_unfitted" in read_texts(m)
-            return [propose_unfitted(axis, [p for p in missing if p != "org"], exists)]
+            return [propose_unfitted_switches_text(axis, [p for p in missing if p != "org"], exists)]
         geoms, proposals = self._guess_flag_geoms(axis, pin), []
         if geoms is None:
             geoms = self._choose_new_name(f"{axis}_{pin}_vane"), self._choose_new_name(f"{axis}_{pin}_beam")
             interval = self._choose_flag_interval(axis, pin, joint, low, high)
-            proposals = propose_flag_geoms(m, joint, geoms, pin, PINS.index(pin), interval)
+            proposals = propose_flag_geoms(m, joint, geoms, pin, SWITCH_PINS.index(pin), interval)
         if not has_pair(m, *geoms):
             proposals.append(propose_pair(m, *geoms))
         return [*proposals, propose_sensor(m, axis, pin, *geoms)]
@@ -171,12 +179,12 @@ class SwitchFinder:
             travel: Range to search in; default: 1 m, or a turn, to either side.
 
         Returns:
-            First and last position without a hard stop. Where there is none: the end of `travel`; by default JOINT_RANGE.
+            First and last position without a hard stop. Where there is none: the end of `travel`; by default DEFAULT_JOINT_RANGES.
         """
         hinge = bool(self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE)
         start = float(self.model.qpos0[self.model.jnt_qposadr[joint]])
         widest = travel or (start - (np.pi if hinge else 1.0), start + (np.pi if hinge else 1.0))
-        low, high = JOINT_RANGE["hinge" if hinge else "slide"]
+        low, high = DEFAULT_JOINT_RANGES["hinge" if hinge else "slide"]
         usual = travel or (start + low, start + high)
         if not widest[0] <= start <= widest[1]:
             return usual
@@ -256,21 +264,23 @@ class SwitchFinder:
             self.problems.add_problem(axis, text, pair)
             return None
         if pin.startswith("el"):
-            self._check_held_to_hard_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
+            self._check_asserted_to_hard_stop(
+                axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low
+            )
         self.touches[name] = q
         lookahead = self._measure_lookahead(joint, found_address, q, slope, low, high)
-        rooms = _measure_free_travel([at for at, _ in edges], high - low)
+        rooms = _measure_neighbor_distances([at for at, _ in edges], high - low)
         measured = [
             self._measure_edge(joint, found_address, dist, *edge, high - low, room)
             for edge, room in zip(edges, rooms, strict=True)
         ]
         return Switch(
-            pin, sensor, found_address, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn
+            pin, sensor, found_address, dist, q, slope, lookahead, _limit_travel_to_one_edge(measured, turn > 0), turn
         )
 
     def _list_missing_pins(self, axis: str, unfitted: Sequence[str]) -> list[str]:
         """List the pins of an axis without a sensor, and those that the model says it does not have."""
-        return [pin for pin in PINS if pin in unfitted or self._find_sensor_id(f"{axis}_{pin}") < 0]
+        return [pin for pin in SWITCH_PINS if pin in unfitted or self._find_sensor_id(f"{axis}_{pin}") < 0]
 
     def _find_contact_sensor(self, axis: str, pin: str, unfitted: Sequence[str]) -> tuple[int, str]:
         """Return the id of a switch's sensor, and a text that says why it is no contact sensor between two geoms, or ""."""
@@ -280,7 +290,7 @@ class SwitchFinder:
             near = suggest_name(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._known_sensor_names)
             text, missing = f"no contact sensor {name!r}{near}", self._list_missing_pins(axis, unfitted)
             if pin == next(p for p in missing if p not in unfitted):
-                text += f"; if the axis has no such switch: {propose_unfitted(axis, missing, False).line} in <custom>"
+                text += f"; if the axis has no such switch: {propose_unfitted_switches_text(axis, missing, False).line} in <custom>"
         elif m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
             text = f"sensor {name!r} is not a <contact> sensor"
         elif m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
@@ -299,15 +309,15 @@ class SwitchFinder:
             Least and greatest joint position, and the joint travel after which the edges repeat; 0 if they do not.
         """
         hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        if not hinge or high - low <= FULL_TURN * (1 - MIN_FLAG_SHARE):
+        if not hinge or high - low <= FULL_TURN_RAD * (1 - MIN_FLAG_SHARE):
             return low, high, 0.0
-        middle, half = 0.5 * (low + high), 0.5 * min(high - low, FULL_TURN)
-        return middle - half, middle + half, FULL_TURN
+        middle, half = 0.5 * (low + high), 0.5 * min(high - low, FULL_TURN_RAD)
+        return middle - half, middle + half, FULL_TURN_RAD
 
     def _find_field_addresses(self, sensor: int) -> dict[str, int]:
         """Return the address in sensordata of each field of a contact sensor, by the field's name."""
         fields, offset, at = int(self.model.sensor_intprm[sensor][0]), int(self.model.sensor_adr[sensor]), {}
-        for field, dim in _DATA_DIMS:
+        for field, dim in _SENSOR_FIELD_SIZES:
             if fields >> int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{field}")) & 1:
                 at[field] = offset
                 offset += dim
@@ -365,7 +375,7 @@ class SwitchFinder:
         """
         low, high, _ = self._limit_to_one_turn(joint, low, high)
         m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
-        sensors = [self._find_sensor_id(f"{axis}_{pin}") for pin in PINS]
+        sensors = [self._find_sensor_id(f"{axis}_{pin}") for pin in SWITCH_PINS]
         pairs = [
             (int(m.sensor_objid[s]), int(m.sensor_refid[s]))
             for s in sensors
@@ -404,7 +414,7 @@ class SwitchFinder:
                 return f"trips it over the whole range {low:g} to {high:g}"
             k = min(inside, key=lambda k: dist[k])
             return f"cannot reach it: nearest at {grid[k]:g}, {dist[k] * 1e3:.3g} mm away (joint range {low:g} to {high:g})"
-        rooms = _measure_free_travel([at for at, _ in entered], high - low)
+        rooms = _measure_neighbor_distances([at for at, _ in entered], high - low)
         edges = [
             (at, self._find_slope(joint, pair, at, entering, high - low, room))
             for (at, entering), room in zip(entered, rooms, strict=True)
@@ -459,11 +469,13 @@ class SwitchFinder:
             d dist / d q, or 0 if the vane only grazes the switch.
         """
 
-        def distance(position: float) -> float:
+        def measure_distance(position: float) -> float:
             return self._measure_distance(joint, position, *pair)
 
         steps = np.geomspace(min(1e-6 * travel, 1e-2 * room), 1e-2 * travel, 5)
-        slopes = [float((distance(edge_position + e) - distance(edge_position - e)) / (2 * e)) for e in steps]
+        slopes = [
+            float((measure_distance(edge_position + e) - measure_distance(edge_position - e)) / (2 * e)) for e in steps
+        ]
         right = [(slope < 0) == entering and slope != 0 for slope in slopes]
         steady = [
             ok and abs(s - t) <= MAX_LINEAR_ERROR * abs(s) for ok, (s, t) in zip(right, pairwise(slopes), strict=False)
@@ -530,7 +542,7 @@ class SwitchFinder:
                 near = x
         return near
 
-    def _check_held_to_hard_stop(
+    def _check_asserted_to_hard_stop(
         self, axis: str, pin: str, joint: int, found_address: int, dist: int, touch: float, end: float
     ) -> None:
         """Check that an end limit trips before the hard stop, and stays asserted up to the stop or the end of the joint's range."""
@@ -583,7 +595,7 @@ class SwitchFinder:
                 self.problems.add_problem(axis, f"{a}, {b}: in this order {meaning}")
 
 
-def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
+def _limit_travel_to_one_edge(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
     """Limit the travel near each edge over which the sensor is used, so that each distance belongs to one edge only.
 
     Args:
@@ -604,7 +616,7 @@ def _make_scan_grid(low: float, high: float) -> np.ndarray:
     return np.concatenate(([low - step], np.linspace(low, high, SCAN_POSITIONS), [high + step]))
 
 
-def _measure_free_travel(positions: list[float], maximum: float) -> list[float]:
+def _measure_neighbor_distances(positions: list[float], maximum: float) -> list[float]:
     """Return the distance from each of the ascending `positions` to its nearest neighbor, at most `maximum`."""
     gaps = [maximum, *(max(b - a, MIN_TRAVEL) for a, b in pairwise(positions)), maximum]
     return [min(before, after) for before, after in pairwise(gaps)]

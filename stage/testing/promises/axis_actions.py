@@ -13,7 +13,7 @@ from stage.firmware.driver import get_driver
 from stage.firmware.procedures import begin_move, begin_stop
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 
-SLICE_S = 1e-3
+WAIT_INTERVAL_S = 1e-3
 MAX_MOVE_S = 30.0
 MIN_PULSES, MAX_PULSES, LONG_PULSES = 200, 4_000, 40_000
 
@@ -25,7 +25,7 @@ def check_actions(trial: PromiseTrial) -> None:
     """
     if not trial.chip_class.DRIVER:
         return
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         bench = Bench(x=trial.make(), y=trial.make())
         pulses = {name: int(rng.integers(MIN_PULSES, MAX_PULSES)) * sign for name, sign in (("x", 1), ("y", -1))}
         for axis in bench.axes.values():
@@ -50,15 +50,15 @@ def _check_stop(axis: BenchAxis, rng: np.random.Generator) -> None:
     move = begin_move(axis, pulses=LONG_PULSES)
     end, goal = axis.time + MAX_MOVE_S, axis.chip.net(axis.chip_axis) + int(rng.integers(1, LONG_PULSES // 2))
     while axis.chip.net(axis.chip_axis) < goal and axis.time < end:
-        axis.wait(SLICE_S)
+        axis.wait(WAIT_INTERVAL_S)
     _require_moving(axis, True, "in the middle of a move")
     stop = begin_stop(axis, at_once=bool(rng.integers(2)))
     if not move.was_cancelled:
         raise BrokenPromise("begin_stop in the middle of a move does not cancel the move")
     seconds = 0.0
     while not stop.is_done and seconds < MAX_MOVE_S:
-        axis.wait(SLICE_S)
-        seconds += SLICE_S
+        axis.wait(WAIT_INTERVAL_S)
+        seconds += WAIT_INTERVAL_S
     _require_moving(axis, False, "after a stop")
 
 
@@ -69,8 +69,8 @@ def _wait_for_end(bench: Bench, actions: dict[str, AxisAction], trial: PromiseTr
         for name, axis in bench.axes.items():
             if trial.counts_pulses and not actions[name].is_done:
                 _require_moving(axis, True, "while its move is under way")
-        bench.wait(SLICE_S)
-        seconds += SLICE_S
+        bench.wait(WAIT_INTERVAL_S)
+        seconds += WAIT_INTERVAL_S
         if trial.chip_class.SERVO and not any(get_driver(axis).is_moving for axis in bench.axes.values()):
             for action in actions.values():
                 action.cancel()

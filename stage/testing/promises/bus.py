@@ -33,7 +33,7 @@ def check_contract(trial: PromiseTrial) -> None:
 
 def check_bus_lines(trial: PromiseTrial) -> None:
     """Check that bits of an address or a value beyond the chip's address and data lines have no effect on writes and reads."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         near, distant = trial.make(), trial.make()
         for _ in range(60):
             address = int(rng.integers(near.ADDRESS_MASK, endpoint=True))
@@ -86,7 +86,7 @@ def check_pins_by_name(trial: PromiseTrial) -> None:
 
 def check_reads(trial: PromiseTrial) -> None:
     """Check that a read changes nothing, except at READING_ACTS, and that `peek` never changes anything."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip = trial.make()
         for act in trial.draw_program(rng):
             perform_act(chip, act)
@@ -181,7 +181,7 @@ def _format_origin(error: Exception) -> str:
 
 def check_diagnostics(trial: PromiseTrial) -> None:
     """Check that no bus write raises, that each diagnostic is a Diagnostic with text, and that lint changes no state."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip = trial.make()
         for act in trial.draw_acts(rng, 60):
             if act.kind == "time":
@@ -212,9 +212,9 @@ def _require_no_error(what: str, call: Callable[..., Any], *args: Any) -> None:
         raise BrokenPromise(f"{what} raises {type(error).__name__}: {error}") from error
 
 
-def check_words(trial: PromiseTrial) -> None:
+def check_cycle_descriptions(trial: PromiseTrial) -> None:
     """Check that the describer and the decoder describe every bus cycle in one line of ASCII."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip = trial.make()
         listener = chip.make_describer()
         journal = chip.journal()

@@ -6,7 +6,7 @@ import numpy as np
 
 from stage.chips import Chip, core_interface
 from stage.chips.cycle_descriptions import decode
-from stage.chips.journal import Replay
+from stage.chips.journal import GrowingJournalReplay
 from stage.testing.chip_actions import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_acts
 from stage.testing.promise_trial import (
     BrokenPromise,
@@ -19,13 +19,13 @@ from stage.testing.promise_trial import (
 
 def check_journals(trial: PromiseTrial) -> None:
     """Check that a replay ends in the chip's state, and that its waveforms show every pin and count at the right clock."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip, axis = trial.make(), int(rng.integers(trial.chip_class.AXES))
         journal = chip.journal(axis)
         perform_acts(chip, trial.draw_program(rng))
         journal.close()
         for every in (False, True):
-            replay = Replay(journal)
+            replay = GrowingJournalReplay(journal)
             pieces = list(replay.replay_in_pieces(every))
             chip.output_word(axis)  # some settle their pins when somebody looks
             if every:  # some keep in their state how long a pulse is shown

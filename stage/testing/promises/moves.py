@@ -22,7 +22,7 @@ from stage.testing.promise_trial import BrokenPromise, PromiseTrial, read_counte
 
 def check_outputs_during_move(trial: PromiseTrial) -> None:
     """Check that busy, net, counter and pins agree with the trace during the whole of a move by the host driver."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         for chip, axis, pulses in trial.start_moves(rng):
             _check_outputs_of_axis_during_move(trial, rng, chip, axis, pulses)
 
@@ -76,7 +76,7 @@ MAX_TRIED_ACTS = 12
 
 def check_limit_switches(trial: PromiseTrial) -> None:
     """Check that an end switch stops only the driver's move towards it, and that `find_selected_direction` knows each direction."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         for chip, axis, pulses in trial.start_moves(rng):
             _check_direction(trial, axis, pulses, rng)
             free = chip.make_replica()
@@ -144,12 +144,12 @@ def draw_simultaneous_moves(trial: PromiseTrial, rng: np.random.Generator) -> li
     return limit_pulses([Act("reset"), *moves, Act("time", chip.clock_hz // 20)], chip) if moves else []
 
 
-def check_axes_alone(trial: PromiseTrial) -> None:
+def check_axis_independence(trial: PromiseTrial) -> None:
     """Check that whatever is written to one axis leaves the moves and the registers of the other axes unchanged."""
     if trial.chip_class.AXES == 1:
         return
     _check_registers(trial)
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         for chip, axis, pulses in trial.start_moves(rng):
             chip.advance(max(chip.clock_hz // 1000, 1))
             clocks = count_clocks_to_end(chip, axis)

@@ -15,7 +15,7 @@ from stage.testing.promise_trial import BrokenPromise, PromiseTrial, describe_di
 
 def check_determinism(trial: PromiseTrial) -> None:
     """Check that the same actions always give the same answers and the same bits, whatever other chips do meanwhile."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         acts, other_acts = trial.draw_program(rng), trial.draw_program(rng)
         one, other = trial.make(), trial.make()
         answers = perform_acts(one, acts)
@@ -36,7 +36,7 @@ def check_determinism(trial: PromiseTrial) -> None:
 
 def check_snapshots(trial: PromiseTrial) -> None:
     """Check that a snapshot is complete, continues bit for bit, also in a new chip, and is refused by other chip classes."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         first, then = trial.draw_program(rng), None
         chip = trial.make()
         attributes = _read_attributes(chip)
@@ -119,7 +119,7 @@ def _check_refusals(trial: PromiseTrial, chip: Chip) -> None:
 
 def check_resets(trial: PromiseTrial) -> None:
     """Check that a reset sets registers and modes as at power-up, and keeps clock, inputs, net count and diagnostics."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         used, other = trial.make(), trial.make()
         perform_acts(used, trial.draw_program(rng))
         perform_acts(used, trial.draw_drives(used, rng))

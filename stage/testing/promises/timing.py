@@ -7,7 +7,7 @@ import numpy as np
 from stage.chips import Chip, core_interface
 from stage.errors import StageError
 from stage.testing.chip_actions import (
-    check_trace_room,
+    check_pulse_count,
     copy_state,
     count_clocks_to_end,
     find_pulse_clocks,
@@ -18,9 +18,9 @@ from stage.testing.promise_trial import BrokenPromise, PromiseTrial, format_firs
 from stage.testing.promises.moves import draw_simultaneous_moves
 
 
-def check_time_that_passes(trial: PromiseTrial) -> None:
+def check_elapsed_clocks(trial: PromiseTrial) -> None:
     """Check that `advance(n)` takes n reference clocks and that a bus cycle of a chip without a stage takes none."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip = trial.make()
         for act in trial.draw_program(rng):
             before = chip.clock
@@ -32,7 +32,7 @@ def check_time_that_passes(trial: PromiseTrial) -> None:
 
 def check_trace(trial: PromiseTrial) -> None:
     """Check that `trace` and `advance` give the same pulses by axis and direction, in order, and the same state."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         one, other = trial.make(), trial.make()
         acts = trial.draw_program(rng)
         used = trial.make()
@@ -44,7 +44,7 @@ def check_trace(trial: PromiseTrial) -> None:
                 continue
             begin, nets = one.clock, [one.net(k) for k in range(one.AXES)]
             try:
-                check_trace_room(one, act.a)
+                check_pulse_count(one, act.a)
             except StageError as error:
                 raise BrokenPromise(str(error)) from None
             pulse_count = one.advance(act.a)
@@ -71,7 +71,7 @@ def check_trace(trial: PromiseTrial) -> None:
 
 def check_time_in_pieces(trial: PromiseTrial) -> None:
     """Check that `advance(a + b)` equals `advance(a)` and `advance(b)` wherever the time is cut, even at the clock of an event."""
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip, axis, pulses = trial.start_move(rng)
         if pulses or not trial.counts_pulses:
             clocks = min(count_clocks_to_end(chip, axis), chip.clock_hz // 2)
@@ -119,7 +119,7 @@ def check_windows(trial: PromiseTrial) -> None:
 
     The mean and the net pulses of each slice must be right as well.
     """
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip = trial.make()
         perform_acts(chip, trial.draw_drives(chip, rng))
         _check_window_slices(trial, chip, 5, int(rng.integers(1, max(chip.clock_hz // 5000, 2))))
@@ -166,7 +166,7 @@ def check_drive_inputs(trial: PromiseTrial) -> None:
 
     Check read_pulse_rate likewise.
     """
-    for rng in trial.seeded_generators():
+    for rng in trial.make_seeded_generators():
         chip, axis, move_pulses = trial.start_move(rng, slow=True)
         if not move_pulses and trial.counts_pulses:
             return

@@ -13,9 +13,9 @@ Protocol. The command line offers all of this as `stage agent`.
 
 from registerbench.arena.game_session import GameSession, Limits
 from registerbench.arena.games import Game, list_suites, make_suite
-from registerbench.arena.players import make_player
+from registerbench.arena.players import make_game_player
 from registerbench.arena.suite_results import GameResult, SuiteResult
-from registerbench.arena.suite_runner import Interrupted, make_header, play
+from registerbench.arena.suite_runner import RunInterrupted, make_header, play_games
 from registerbench.arena.transcript import TranscriptWriter, read_transcript, write_transcript
 from registerbench.arena.transcript_replay import TranscriptReplay, replay
 
@@ -23,15 +23,15 @@ __all__ = [
     "Game",
     "GameResult",
     "GameSession",
-    "Interrupted",
+    "RunInterrupted",
     "Limits",
     "SuiteResult",
     "TranscriptReplay",
     "TranscriptWriter",
     "list_suites",
     "make_header",
-    "make_player",
-    "play",
+    "make_game_player",
+    "play_games",
     "read_transcript",
     "replay",
     "make_suite",

@@ -18,7 +18,7 @@ def convert_action_to_rates(action: np.ndarray) -> dict[str, float]:
     """Convert an action of few-shot or one-shot to the rates (pps) and ramps (s) of a move, by name."""
     return {
         name: from_log_scale(value, ends)
-        for name, value, ends in zip(few_shot.RATES, action, few_shot.RATES.values(), strict=True)
+        for name, value, ends in zip(few_shot.ACTION_RANGES, action, few_shot.ACTION_RANGES.values(), strict=True)
     }
 
 
@@ -73,7 +73,7 @@ class ActionConverter:
         """Return the action with which an episode is played to its end after its player has left."""
         return np.zeros(self._env.action_space.shape, self._env.action_space.dtype)
 
-    def name_observation(self) -> dict[str, Any]:
+    def describe_observation(self) -> dict[str, Any]:
         """Return observation and info by name; several numbers of one name become a list."""
         numbers: dict[str, Any] = {}
         for name, value in zip(self._names, self._sequence.observation.tolist(), strict=True):
@@ -91,7 +91,7 @@ class MoveActionConverter(ActionConverter):
 
     def describe_arguments(self) -> dict[str, Any]:
         titles = {"start": "start rate, pps", "drive": "drive rate, pps", "up": "ramp up, s", "down": "ramp down, s"}
-        return {n: argument(number(ge=low, le=high), titles[n]) for n, (low, high) in few_shot.RATES.items()}
+        return {n: argument(number(ge=low, le=high), titles[n]) for n, (low, high) in few_shot.ACTION_RANGES.items()}
 
     def make_action(self, **values: Any) -> Any:
         return few_shot.make_action(**values)
@@ -109,9 +109,9 @@ class HomeActionConverter(ActionConverter):
     )
 
     def describe_arguments(self) -> dict[str, Any]:
-        usual, (least, most) = drifting_home.USUAL, drifting_home.BACK_OFF
+        usual, (least, most) = drifting_home.USUAL_RETURN, drifting_home.BACK_OFF
         titles = {"search": "rate, pps", "ramp": "ramps, s", "approach": "rate of the approach, pps"}
-        ends = {name: number(ge=low, le=high) for name, (low, high) in drifting_home.RATES.items()}
+        ends = {name: number(ge=low, le=high) for name, (low, high) in drifting_home.ACTION_RANGES.items()}
         rates = {name: argument(ends[name], text, float(usual[name])) for name, text in titles.items()}
         return {
             **rates,
@@ -125,7 +125,10 @@ class HomeActionConverter(ActionConverter):
 
     def choose_formula_arguments(self) -> dict[str, Any]:
         action = self._env.scripted_action().astype(float)
-        rates = {n: from_log_scale(a, ends) for a, (n, ends) in zip(action, drifting_home.RATES.items(), strict=False)}
+        rates = {
+            n: from_log_scale(a, ends)
+            for a, (n, ends) in zip(action, drifting_home.ACTION_RANGES.items(), strict=False)
+        }
         leave, back_off = (
             drifting_home.LEAVE * ((action[3] + 1) / 2) ** 3,
             from_log_scale(action[4], drifting_home.BACK_OFF),
@@ -185,8 +188,8 @@ class MacroActionConverter(ActionConverter):
     def choose_idle_action(self) -> Any:
         return np.int64(int(np.argmax(np.asarray(self._sequence.info["action_mask"]) == 0)))
 
-    def name_observation(self) -> dict[str, Any]:
-        answer = super().name_observation()
+    def describe_observation(self) -> dict[str, Any]:
+        answer = super().describe_observation()
         mask = answer["info"].pop("action_mask")
         answer["has_an_effect"] = [name for name, on in zip(self._env.macros, mask, strict=True) if on]
         return answer

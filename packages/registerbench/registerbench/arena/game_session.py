@@ -46,7 +46,7 @@ class Limits:
                 raise ArgumentError(f"{name}={format_value(s)}: seconds, more than 0.")
 
 
-class GameLeft(BaseException):
+class CallAfterGameEnd(BaseException):
     """Exception that ends a player which continues to make calls after its game is over."""
 
 
@@ -95,7 +95,7 @@ class GameSession:
             arguments: Arguments, as the player gives them.
 
         Raises:
-            GameLeft: The player goes on although the game is over.
+            CallAfterGameEnd: The player goes on although the game is over.
         """
         with self._lock:
             self._thinking_s += monotonic() - (self._thinking_since or monotonic())
@@ -122,11 +122,11 @@ class GameSession:
         return answer
 
     def _refuse_call(self) -> Answer:
-        """Return the answer to a call after the end; raise GameLeft if there are too many."""
+        """Return the answer to a call after the end; raise CallAfterGameEnd if there are too many."""
         self._calls_after_end += 1
         if self._is_ended or self._calls_after_end > MAX_CALLS_AFTER_END:
             self.count_trouble("calls after the end")
-            raise GameLeft
+            raise CallAfterGameEnd
         calls = len(self.log)
         why = (
             f"{calls} calls are made, and a game has no more."

@@ -66,7 +66,7 @@ class DiagnosisGame(Game):
         return self.case.over
 
     def compute_scores(self) -> dict[str, float]:
-        reached = self.case.score()
+        reached = self.case.compute_score()
         return {
             "value": reached.value,
             "found": reached.found,
@@ -95,14 +95,14 @@ class BenchmarkGame(Game):
         self.calls = ToolSet(
             [
                 Tool("task", "What is to be done.", lambda: self.task, free=True),
-                Tool("observe", "What a host knows now, by name.", self._converter.name_observation, free=True),
+                Tool("observe", "What a host knows now, by name.", self._converter.describe_observation, free=True),
                 Tool(
                     "formula",
                     "What the task's own rule would do now, as arguments of act.",
-                    self._call_formula,
+                    self._answer_formula_tool,
                     free=True,
                 ),
-                Tool("act", self._converter.description, self._call_act, arguments, moves=True),
+                Tool("act", self._converter.description, self._answer_act_tool, arguments, moves=True),
             ]
         )
         self.task = TASK_TEXT.format(
@@ -113,16 +113,16 @@ class BenchmarkGame(Game):
     def over(self) -> bool:
         return self._sequence.finished > self.number
 
-    def _call_formula(self) -> dict[str, Any]:
+    def _answer_formula_tool(self) -> dict[str, Any]:
         """Answer the tool `formula`: the arguments of `act` that the task's formula proposes."""
         self._require_running()
         return self._converter.choose_formula_arguments()
 
-    def _call_act(self, **arguments: Any) -> dict[str, Any]:
+    def _answer_act_tool(self, **arguments: Any) -> dict[str, Any]:
         """Answer the tool `act`: make a step of the environment, and return the observation and the info."""
         self._require_running()
         self._sequence.act(self._converter.make_action(**arguments))
-        return {"over": self.over, **self._converter.name_observation()}
+        return {"over": self.over, **self._converter.describe_observation()}
 
     def _require_running(self) -> None:
         """Raise an error if the episode is over."""

@@ -153,7 +153,7 @@ def make_result(head: RunHeader, games: list[GameResult], entry: Entry | None = 
         games: Results of the games, in order.
         entry: Entry of the benchmark, or None.
     """
-    return SuiteResult(head, games, *compute_value(head.kind, [r.score["value"] for r in games]), entry)
+    return SuiteResult(head, games, *compute_suite_score(head.kind, [r.score["value"] for r in games]), entry)
 
 
 def summarize_result(result: SuiteResult) -> dict[str, Any]:
@@ -170,7 +170,7 @@ def summarize_result(result: SuiteResult) -> dict[str, Any]:
     )
 
 
-def compute_value(suite_kind: str, values: Sequence[float]) -> tuple[float, float, float]:
+def compute_suite_score(suite_kind: str, values: Sequence[float]) -> tuple[float, float, float]:
     """Compute the score of a suite from the values of its games.
 
     Args:

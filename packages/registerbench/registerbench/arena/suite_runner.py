@@ -9,16 +9,16 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from registerbench.arena.game_session import GameLeft, GameSession, Limits
+from registerbench.arena.game_session import CallAfterGameEnd, GameSession, Limits
 from registerbench.arena.games import Game, Suite
 from registerbench.arena.suite_results import FAILED, GameResult, RunHeader, SuiteResult, make_result
 from registerbench.arena.transcript_replay import replay_game
 from stage.errors import ArgumentError, StageError
 
-Player = Callable[[GameSession], Any]
+GamePlayer = Callable[[GameSession], Any]
 
 
-class Interrupted(StageError):
+class RunInterrupted(StageError):
     """Error of a run that cannot continue; its attribute `result` has the games that were played before."""
 
     def __init__(self, message: str, result: SuiteResult):
@@ -26,9 +26,9 @@ class Interrupted(StageError):
         self.result = result
 
 
-def play(
+def play_games(
     suite: Suite,
-    player: Player,
+    player: GamePlayer,
     name: str = "",
     limits: Limits | None = None,
     report_progress: Callable[[GameResult], None] | None = None,
@@ -49,7 +49,7 @@ def play(
 
     Raises:
         ArgumentError: An earlier game comes out differently here.
-        Interrupted: The player cannot play.
+        RunInterrupted: The player cannot play.
     """
     name = name or get_player_name(player)
     limits = limits or Limits()
@@ -65,7 +65,7 @@ def play(
             games.append(_play_game(game, player, limits))
         except StageError as why:
             message = f"game {k + 1} of {len(suite.games)}, {game.name}: {why}"
-            raise Interrupted(message, make_result(head, games)) from why
+            raise RunInterrupted(message, make_result(head, games)) from why
         if report_progress:
             report_progress(games[-1])
     cost: dict[str, float] = {"tokens": sum(r.tokens for r in games), "calls": sum(len(r.calls) for r in games)}
@@ -83,12 +83,12 @@ def make_header(suite: Suite, player: str, limits: Limits) -> RunHeader:
     return RunHeader(suite.name, suite.split, suite.round, suite.games, suite.total_games, limits, player)
 
 
-def get_player_name(player: Player) -> str:
+def get_player_name(player: GamePlayer) -> str:
     """Return the name that the player gives itself."""
     return str(getattr(player, "name", getattr(player, "__name__", type(player).__name__)))
 
 
-def _play_game(game: Game, player: Player, limits: Limits) -> GameResult:
+def _play_game(game: Game, player: GamePlayer, limits: Limits) -> GameResult:
     """Let the player play one game, and return its result."""
     session = GameSession(game, limits)
     _run_in_thread(player, session)
@@ -98,7 +98,7 @@ def _play_game(game: Game, player: Player, limits: Limits) -> GameResult:
     )
 
 
-def _run_in_thread(player: Player, session: GameSession) -> None:
+def _run_in_thread(player: GamePlayer, session: GameSession) -> None:
     """Call the player in a thread of its own, so that a player that hangs can be abandoned."""
     raised: list[BaseException] = []
     done = threading.Event()
@@ -108,7 +108,7 @@ def _run_in_thread(player: Player, session: GameSession) -> None:
             returned = player(session)
             if inspect.iscoroutine(returned):
                 asyncio.run(returned)
-        except GameLeft:
+        except CallAfterGameEnd:
             pass
         except BaseException as error:  # it is raised again below
             raised.append(error)
@@ -121,7 +121,9 @@ def _run_in_thread(player: Player, session: GameSession) -> None:
         if why := session.explain_timeout():
             session.end_game(why)
             getattr(player, "stop", lambda: None)()
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(GameLeft))
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                ctypes.c_ulong(thread.ident or 0), ctypes.py_object(CallAfterGameEnd)
+            )
             return
     if raised:
         raise raised[0]
@@ -130,7 +132,7 @@ def _run_in_thread(player: Player, session: GameSession) -> None:
 class GuardedPlayer:
     """Wrapper of a user's player whose errors end the game instead of the run."""
 
-    def __init__(self, player: Player):
+    def __init__(self, player: GamePlayer):
         self._player, self.name = player, get_player_name(player)
 
     def __call__(self, session: GameSession) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def explain_interrupt(saved: str) -> Iterator[None]:
+def exit_on_interrupt(saved: str) -> Iterator[None]:
     """Turn Ctrl-C into a message that states what is saved, and exit with code 130 as shells do.
 
     Args:

@@ -22,29 +22,29 @@ from matplotlib.figure import Figure
 
 from registerbench.baselines import formula
 from registerbench.baselines.method_runs import (
-    BOLDEST,
+    BOLDEST_FORMULA_METHOD,
     EXTRA_PAYLOADS_KG,
     FORMULA,
     METHODS,
-    MIN_DISTANCE,
+    MIN_DISTANCE_PULSES,
     NEW_MOVES,
     QUICK_METHODS,
     SHORTER_MOVES,
-    TEST_CONTEXTS,
+    TEST_CONDITIONS,
     Method,
     MethodRun,
     MethodRuns,
 )
 from registerbench.baselines.move_tuning import (
     CANDIDATES,
-    DISTANCE,
-    LIMIT,
-    MARGIN,
-    MAX_HOLDING,
+    DISTANCE_PULSES,
+    MAX_HOLDING_MOVES,
+    MAX_MOVE_TIME_S,
     MODEL,
-    PAYLOADS,
+    PAYLOAD_MARGIN_KG,
+    PAYLOAD_TOLERANCE,
+    PAYLOADS_KG,
     REPEATS,
-    TOLERANCE,
 )
 from registerbench.score_statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
@@ -52,16 +52,16 @@ from stage.firmware.move_report import Report, compute_rates
 from stage.support.plot_style import remove_frame, set_title
 
 BUDGET, SEEDS = 256, 10  # moves for each seed; fewer seeds allow no verdict
-MM = 3.125e-3  # travel for one pulse, mm
+MM_PER_PULSE = 3.125e-3  # travel for one pulse, mm
 DOCS = Path(__file__).parents[2] / "docs"
-DRAWN = [m for m in METHODS if m.space == "knobs"]
+PLOTTED_METHODS = [m for m in METHODS if m.space == "knobs"]
 
 
 @cache
 def get_power_up_state(model: str) -> tuple[Stage, Any]:
     """Return a stage of a model and its snapshot at power-up."""
     stage = Stage(model)
-    stage.place(x=-DISTANCE / 2 * stage.axes["x"].meters_per_pulse)
+    stage.place(x=-DISTANCE_PULSES / 2 * stage.axes["x"].meters_per_pulse)
     return stage, stage.snapshot()
 
 
@@ -81,7 +81,7 @@ def repeat_move(registers: dict[str, int], payload: float, model: str = MODEL) -
     stage.set_payload(payload)
     r = registers
     profile = firmware.Profile(r["R1"], r["R2"], r["R2"], r["R4"], r["R5"], r["R7"])
-    return firmware.preset_move(stage.axes["x"], DISTANCE, profile, down_point=r["R6"])
+    return firmware.preset_move(stage.axes["x"], DISTANCE_PULSES, profile, down_point=r["R6"])
 
 
 # The page
@@ -114,11 +114,11 @@ def format_loss_counts(runs: list[MethodRun], context: str) -> str:
         runs: Runs of one method and payload.
         context: Name of the test context.
     """
-    lost = [r.count_lost(context) for r in runs if r.test_logs]
+    lost = [r.count_failed_moves(context) for r in runs if r.test_logs]
     if not lost:
         return "none"
     some = f", {np.count_nonzero(lost)} of {len(lost)} answers" if any(lost) and len(lost) > 1 else ""
-    return f"{sum(lost)} of {len(lost) * TEST_CONTEXTS[context].moves}{some}"
+    return f"{sum(lost)} of {len(lost) * TEST_CONDITIONS[context].moves}{some}"
 
 
 def format_table(runs: list[MethodRun], payload: str) -> list[str]:
@@ -132,7 +132,7 @@ def format_table(runs: list[MethodRun], payload: str) -> list[str]:
         rs = select_runs(runs, payload, method)
         if not rs:
             continue
-        none = sum(r.answer is None for r in rs)
+        none = sum(r.answer_number is None for r in rs)
         some = f", {none} of {len(rs)} found none" if none else ""
         lines.append(
             f"| {method.name} | {len(rs[0].search_log)} | {'-' if method.fixed_moves else len(rs)} "
@@ -141,7 +141,8 @@ def format_table(runs: list[MethodRun], payload: str) -> list[str]:
             f"| {format_iqm_with_interval([r.compute_mean('vibration') for r in rs], '.0f')} "
             f"| {format_loss_counts(rs, NEW_MOVES)} | {format_loss_counts(rs, SHORTER_MOVES)} "
             f"| {format_iqm_with_interval([r.spare_payload for r in rs], '.1f')} "
-            f"| {np.mean([r.in_step_share for r in rs]):.0%} | {format_iqm_with_interval([r.lucky_moves for r in rs], '.0f')} |"
+            f"| {np.mean([r.in_step_share for r in rs]):.0%} | "
+            f"{format_iqm_with_interval([r.lucky_move_count for r in rs], '.0f')} |"
         )
     return lines
 
@@ -187,7 +188,7 @@ def compute_gains(
 ) -> dict[Method, tuple[GainOverFormula, GainOverFormula, GainOverFormula]]:
     """Compute each method's gains in reward, in time, and in reward without the moves that lost steps."""
     (base,) = select_runs(runs, payload, against)
-    some = {m: select_runs(runs, payload, m) for m in METHODS if m not in (FORMULA, BOLDEST)}
+    some = {m: select_runs(runs, payload, m) for m in METHODS if m not in (FORMULA, BOLDEST_FORMULA_METHOD)}
     return {
         m: (
             compute_gain(rs, base, "reward"),
@@ -195,7 +196,7 @@ def compute_gains(
             compute_gain(rs, base, "reward", in_step=True),
         )
         for m, rs in some.items()
-        if any(r.answer is not None for r in rs)
+        if any(r.answer_number is not None for r in rs)
     }
 
 
@@ -208,7 +209,7 @@ def describe_verdict(runs: list[MethodRun], payload: str, against: Method) -> st
         against: FORMULA or BOLDEST.
     """
     (base,) = select_runs(runs, payload, against)
-    if base.answer is None:
+    if base.answer_number is None:
         return f"**{payload}**: {against.name} found no move that can be repeated."
     every = compute_gains(runs, payload, against)
 
@@ -242,8 +243,8 @@ def format_gain_table(runs: list[MethodRun], payloads: dict[str, float]) -> list
         "|---|---|---|---|---|---|---|",
     ]
     for payload in payloads:
-        for against in (FORMULA, BOLDEST):
-            if select_runs(runs, payload, against)[0].answer is not None:
+        for against in (FORMULA, BOLDEST_FORMULA_METHOD):
+            if select_runs(runs, payload, against)[0].answer_number is not None:
                 for method, some in compute_gains(runs, payload, against).items():
                     count = len(select_runs(runs, payload, method))
                     text = " | ".join(g.text for g in some)
@@ -273,7 +274,8 @@ def describe_price_of_losses(runs: list[MethodRun]) -> str:
         f"Of the {len(lost)} new moves that lost steps {back} went in\n"
         "  the other direction, which no search and no proof has tried. Such a move has a reward of "
         f"{reward:.0f} s on average, 5 of them the price and\n  most of the rest its shaking: one in "
-        f"{TEST_CONTEXTS[NEW_MOVES].moves} takes {-1e3 * reward / TEST_CONTEXTS[NEW_MOVES].moves:.0f} ms off a mean. So losses, "
+        f"{TEST_CONDITIONS[NEW_MOVES].moves} takes {-1e3 * reward / TEST_CONDITIONS[NEW_MOVES].moves:.0f} ms off a "
+        f"mean. So losses, "
         "rare as they are, decide who is ahead by reward."
     )
 
@@ -282,7 +284,7 @@ def format_command(method_runs: MethodRuns) -> str:
     """Return the command line that makes the page."""
     words = ["python", "-m", "registerbench.baselines.baseline_comparison", *(["--quick"] if method_runs.quick else [])]
     words += ["--model", method_runs.model] if method_runs.model != MODEL else []
-    if not method_runs.payloads.items() <= PAYLOADS.items():
+    if not method_runs.payloads.items() <= PAYLOADS_KG.items():
         words += ["--payload", *(f"{kg:g}" for kg in method_runs.payloads.values())]
     return shlex.join([*words, "--budget", str(method_runs.budget), "--seeds", str(method_runs.seeds)])
 
@@ -293,17 +295,21 @@ def format_page(method_runs: MethodRuns) -> str:
     versions = ", ".join(f"{p} {v}" for p, v in method_runs.versions.items())
     payloads = " and ".join(f"{kg:g} kg ({name})" for name, kg in payloads_.items())
     tables = [line for p, kg in payloads_.items() for line in (f"### {kg:g} kg, {p}", "", *format_table(runs, p), "")]
-    verdicts = [f"- {describe_verdict(runs, p, against)}" for p in payloads_ for against in (FORMULA, BOLDEST)]
+    verdicts = [
+        f"- {describe_verdict(runs, p, against)}" for p in payloads_ for against in (FORMULA, BOLDEST_FORMULA_METHOD)
+    ]
     return TEXT.format(
-        made_by=format_command(method_runs), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads,
+        made_by=format_command(method_runs), distance=DISTANCE_PULSES, mm=DISTANCE_PULSES * MM_PER_PULSE, payloads=payloads,
         budget=method_runs.budget, seeds=method_runs.seeds,
-        limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts),
+        limit=MAX_MOVE_TIME_S, tables="\n".join(tables), verdicts="\n".join(verdicts),
         comparison="\n".join(format_gain_table(runs, payloads_)),
         versions=versions, minutes=method_runs.took / 60, moves=sum(len(r.search_log) for r in runs),
         more=sum(len(log) for r in runs for log in (*r.proof_logs.values(), *r.test_logs.values())), safety=formula.SAFETY_FACTOR,
-        held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=method_runs.model,
-        new=TEST_CONTEXTS[NEW_MOVES].moves, shorter=TEST_CONTEXTS[SHORTER_MOVES].moves, shortest=MIN_DISTANCE * MM,
-        each=TEST_CONTEXTS[f"+{EXTRA_PAYLOADS_KG[0]:g} kg"].moves, step=EXTRA_PAYLOADS_KG[0], most=EXTRA_PAYLOADS_KG[-1],
+        held=MAX_HOLDING_MOVES, margin=PAYLOAD_MARGIN_KG, tolerance=PAYLOAD_TOLERANCE, repeats=REPEATS,
+        candidates=CANDIDATES, model=method_runs.model,
+        new=TEST_CONDITIONS[NEW_MOVES].moves, shorter=TEST_CONDITIONS[SHORTER_MOVES].moves,
+        shortest=MIN_DISTANCE_PULSES * MM_PER_PULSE,
+        each=TEST_CONDITIONS[f"+{EXTRA_PAYLOADS_KG[0]:g} kg"].moves, step=EXTRA_PAYLOADS_KG[0], most=EXTRA_PAYLOADS_KG[-1],
         flattered=describe_reward_excess(runs),
         enough=SEEDS,
         priced=describe_price_of_losses(runs),
@@ -409,10 +415,10 @@ def draw_comparison(method_runs: MethodRuns, path: Path) -> None:
 
 def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
     """Draw the highest reward after each move of each method, for a payload."""
-    for base, style in ((FORMULA, "--"), (BOLDEST, ":")):
+    for base, style in ((FORMULA, "--"), (BOLDEST_FORMULA_METHOD, ":")):
         (run,) = select_runs(runs, payload, base)
         ax.axhline(run.compute_mean("reward"), color=base.color, ls=style, lw=1.6)
-    for method in DRAWN:
+    for method in PLOTTED_METHODS:
         selected_runs = select_runs(runs, payload, method)
         if not selected_runs:
             continue
@@ -436,8 +442,8 @@ def draw_move_rates(ax: Any, runs: list[MethodRun], payload: str, mass: float, m
         mass: Payload, kg.
         model: Name of the model.
     """
-    for method in (FORMULA, BOLDEST, *DRAWN):
-        answered = [r for r in select_runs(runs, payload, method) if r.answer is not None]
+    for method in (FORMULA, BOLDEST_FORMULA_METHOD, *PLOTTED_METHODS):
+        answered = [r for r in select_runs(runs, payload, method) if r.answer_number is not None]
         if not answered:
             continue
         middle = sorted(answered, key=lambda r: r.compute_mean("reward"))[len(answered) // 2]
@@ -445,7 +451,7 @@ def draw_move_rates(ax: Any, runs: list[MethodRun], payload: str, mass: float, m
         running = np.flatnonzero(~waveform.pin("hold"))
         t, rate = (waveform.seconds - waveform.seconds[running[0]]) * 1e3, compute_rates(waveform) / 1e3
         moving = slice(running[0], running[-1] + 2)
-        style = {FORMULA.name: "--", BOLDEST.name: ":"}.get(method.name, "-")
+        style = {FORMULA.name: "--", BOLDEST_FORMULA_METHOD.name: ":"}.get(method.name, "-")
         ax.plot(np.r_[0, t[moving]], np.r_[0, rate[moving]], style, color=method.color, lw=1.7, label=method.name)
     ax.set(xlabel="time (ms; the seed in the middle)", ylabel="pulse rate (kpps)", ylim=(0, None), xlim=(0, None))
 
@@ -463,7 +469,7 @@ def main() -> None:
         "--draw", action="store_true", help="page and picture from data/results.parquet; nothing is run"
     )
     args = parser.parse_args()
-    payloads = {f"{kg:g} kg": kg for kg in args.payload} if args.payload else PAYLOADS
+    payloads = {f"{kg:g} kg": kg for kg in args.payload} if args.payload else PAYLOADS_KG
     if args.quick:
         payloads, args.budget = dict([*payloads.items()][:1]), min(args.budget, 64)
     data = args.out / "data" / "results.parquet"

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import registerbench
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.benchmark_tasks import CARDS, OPEN_ROUND
 from registerbench.shipped_policies import TASK_PLAYERS
 
-DRAWN = ("random",)
+RANDOM_PLAYERS = ("random",)
 OPTUNA = {"tpe": "TpePolicy", "cma-es": "CmaEsPolicy"}
 
 
@@ -69,7 +69,7 @@ def main() -> None:
     for task in args.tasks:
         for split in (s for s in args.splits if s in CARDS[task].splits):
             for player in (p for p in list_players(task) if p in (args.players or list_players(task))):
-                for run in range(args.runs if player in DRAWN else 1):
+                for run in range(args.runs if player in RANDOM_PLAYERS else 1):
                     path = args.out / f"{task}-{split}-{player}-{run}.bench"
                     if path.exists():
                         continue
@@ -77,5 +77,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with explain_interrupt("the entries written so far are saved, and the same command continues after them."):
+    with exit_on_interrupt("the entries written so far are saved, and the same command continues after them."):
         main()

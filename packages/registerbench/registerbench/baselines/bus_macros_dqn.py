@@ -41,7 +41,7 @@ class MaskedDQN(DQN):
     draw = np.random.default_rng(0)
     level_start, first = 0, 1.0
 
-    def start_level(self) -> None:
+    def restart_exploration(self) -> None:
         """Raise the exploration rate at the start of another level."""
         self.level_start, self.first = self.num_timesteps, LEVEL_START_RATE
 

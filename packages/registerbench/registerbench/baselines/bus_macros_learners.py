@@ -15,7 +15,8 @@ VALIDATION machines of the split train on which it does not learn. A level ends 
 when its steps are spent. The next level continues with the best policy, whose temperature is chosen on the same machines.
 
 Learning changes some settings of the task; validation and tests use the task's own. A macro costs MACRO_COST, so that
-unnecessary macros lower the return. The travel of an axis pays the same at each level (PROGRESS; the task takes the mean of the
+unnecessary macros lower the return. The travel of an axis pays the same at each level (PROGRESS_WEIGHTS; the task takes
+the mean of the
 axes), so that a step of it pays for its macros. The setting `discount` remains 1: with the learner's GAMMA, nearly all of the
 reward would come at the end of an episode, and a policy that does not yet succeed would have little reward to learn from.
 
@@ -40,7 +41,7 @@ import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, make_dqn
 from registerbench.baselines.bus_macros_role_order import AxisRoles, AxisRolesVecEnv, MixedLevelsVecEnv
@@ -50,13 +51,13 @@ from stage.envs.sb3 import StageVecEnv
 
 ID = "stage/BusMacros-v1"
 TASKS = ("bus-target", "bus-axes", "bus")
-LEVELS = {"target": 163_840, "axes": 262_144, "origin": 393_216}
+MAX_STEPS_BY_LEVEL = {"target": 163_840, "axes": 262_144, "origin": 393_216}
 """Largest number of steps by level, for DQN."""
 PPO_STEPS_FACTOR = {"dqn": 1, "ppo": 8}
 """Factor on the steps of a level by method."""
-LANES = {"dqn": 32, "ppo": 64}
+PARALLEL_ENVS = {"dqn": 32, "ppo": 64}
 GAMMA, MACRO_COST = 0.99, 0.03
-PROGRESS = {"target": 2.0, "axes": 4.0, "origin": 4.0}
+PROGRESS_WEIGHTS = {"target": 2.0, "axes": 4.0, "origin": 4.0}
 TEMPERATURE = (
     0.05  # of a policy during learning: it varies macros of nearly equal value, and so does not repeat a cycle
 )
@@ -74,8 +75,8 @@ def make_learning_envs(method: str, level: str, seed: int) -> Any:
         level: Name of the level.
         seed: Seed of the mixed-in easier episodes.
     """
-    settings = {"level": level, "macro_weight": MACRO_COST, "progress_weight": PROGRESS[level]}
-    envs: Any = StageVecEnv(ID, LANES[method], threads=1, **settings)
+    settings = {"level": level, "macro_weight": MACRO_COST, "progress_weight": PROGRESS_WEIGHTS[level]}
+    envs: Any = StageVecEnv(ID, PARALLEL_ENVS[method], threads=1, **settings)
     return AxisRolesVecEnv(MixedLevelsVecEnv(envs, level, seed), append_mask=method == "dqn")
 
 
@@ -263,7 +264,7 @@ def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
     torch.set_num_threads(1)
     folder.mkdir(parents=True, exist_ok=True)
     model, callback = None, ValidationCallback(method, folder)
-    for level, steps in list(LEVELS.items())[: list(LEVELS).index(top) + 1]:
+    for level, steps in list(MAX_STEPS_BY_LEVEL.items())[: list(MAX_STEPS_BY_LEVEL).index(top) + 1]:
         path, envs = folder / f"{level}-{method}-{seed}", make_learning_envs(method, level, seed)
         callback.begin_level(level, path)
         if model is None:
@@ -271,8 +272,8 @@ def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
         else:
             model.set_env(envs)
             if method == "dqn":
-                model.start_level()
-        envs.seed(10_000 * (seed + 1) + 1_000 * list(LEVELS).index(level))
+                model.restart_exploration()
+        envs.seed(10_000 * (seed + 1) + 1_000 * list(MAX_STEPS_BY_LEVEL).index(level))
         model.learn(int(steps * PPO_STEPS_FACTOR[method] * times), callback=callback, reset_num_timesteps=False)
         stored = {**callback.choose_temperature(), "times": times, "level": level}
         path.with_suffix(".json").write_text(json.dumps(stored))
@@ -317,9 +318,9 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_
 
 
 if __name__ == "__main__":
-    parser = make_parser(__doc__, ("dqn", "ppo"), 1.0, learn, submit, TASKS, tuple(LEVELS), evaluate)
+    parser = make_parser(__doc__, ("dqn", "ppo"), 1.0, learn, submit, TASKS, tuple(MAX_STEPS_BY_LEVEL), evaluate)
     args = parser.parse_args()
-    with explain_interrupt(
+    with exit_on_interrupt(
         "the policies of finished levels and all curves are saved; the same command learns the whole run again."
     ):
         args.run(args)

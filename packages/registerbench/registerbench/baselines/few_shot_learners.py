@@ -24,7 +24,7 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.learner_support import (
     EpisodeRecorder,
@@ -38,14 +38,14 @@ from registerbench.benchmark_tasks import OPEN_ROUND
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
-METHODS = {"none": "last", "all": "all", "recurrent": "last"}
+MEMORY_BY_METHOD = {"none": "last", "all": "all", "recurrent": "last"}
 """Setting `memory` of the environment by method."""
 VISIBLE_FEATURES = {"none": ("distance", "left")}
 """Features that a method observes, if not all."""
-STEPS, LANES, BATCH = 16_384, 16, 512
+STEPS, PARALLEL_ENVS, BATCH = 16_384, 16, 512
 PROOFS = 2  # in training, to make it cheaper; tests use the task's own number
 SETTINGS: dict[str, Any] = {
-    "n_steps": BATCH // LANES, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3, "gamma": 1.0, "gae_lambda": 0.95,
+    "n_steps": BATCH // PARALLEL_ENVS, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3, "gamma": 1.0, "gae_lambda": 0.95,
     "device": "cpu",
 }  # fmt: skip
 NETS: dict[str, dict[str, Any]] = {
@@ -65,7 +65,7 @@ def find_visible_columns(method: str, names: Any) -> np.ndarray:
     return np.array([k for k, name in enumerate(names) if name in VISIBLE_FEATURES.get(method, names)])
 
 
-class SelectedColumns(VecEnvWrapper):
+class SelectedColumnsVecEnv(VecEnvWrapper):
     """Wrapper that keeps only some columns of the observations.
 
     Args:
@@ -98,9 +98,9 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
         folder: Folder of the files.
     """
     torch.set_num_threads(1)
-    raw = StageVecEnv(ID, LANES, threads=1, memory=METHODS[method], proofs=PROOFS)
+    raw = StageVecEnv(ID, PARALLEL_ENVS, threads=1, memory=MEMORY_BY_METHOD[method], proofs=PROOFS)
     envs = EpisodeRecorder(
-        SelectedColumns(raw, find_visible_columns(method, [e.name for e in raw.envs.observation_features]))
+        SelectedColumnsVecEnv(raw, find_visible_columns(method, [e.name for e in raw.envs.observation_features]))
     )
     kind: Any = RecurrentPPO if method == "recurrent" else PPO
     policy = "MlpLstmPolicy" if method == "recurrent" else "MlpPolicy"
@@ -146,7 +146,7 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_
     torch.set_num_threads(1)
     method, run = path.stem.split("-")
     settings = {
-        "settings": {"memory": METHODS[method]},
+        "settings": {"memory": MEMORY_BY_METHOD[method]},
         "name": f"ppo, memory {method}",
         "cost": read_cost(path),
         "training": read_training(path, "few_shot_learners", method),
@@ -157,9 +157,9 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_
 
 
 if __name__ == "__main__":
-    parser = make_parser(__doc__, tuple(METHODS), STEPS, learn, submit, (TASK,))
+    parser = make_parser(__doc__, tuple(MEMORY_BY_METHOD), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
-    with explain_interrupt(
+    with exit_on_interrupt(
         "the curve so far and earlier files are saved; the same command learns the whole run again."
     ):
         args.run(args)

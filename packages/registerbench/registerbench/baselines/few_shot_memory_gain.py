@@ -28,7 +28,7 @@ from stage.envs.machine_contexts import SPLITS
 SPEED_FACTORS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
 STEP, CLOSE, RETREAT = 1.12, 1.1, 1.4
 TRAIN, TEST = 0, 1_000_000  # first seeds of the machines on which `fixed` is chosen, and of those that test all hosts
-LANES = 16
+PARALLEL_ENVS = 16
 
 SpeedFactorHost = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Function of the last attempt (speed factor, whether it kept step) that returns the next speed factor; arrays, (machines,)."""
@@ -87,13 +87,17 @@ def play_host(
     """
     totals, costs = [], []
     envs = gymnasium.make_vec(
-        "stage/FewShotTuning-v1", num_envs=LANES, vectorization_mode="vector_entry_point", split=split, memory="last"
+        "stage/FewShotTuning-v1",
+        num_envs=PARALLEL_ENVS,
+        vectorization_mode="vector_entry_point",
+        split=split,
+        memory="last",
     )
     names = [e.name for e in envs.unwrapped.observation_features]
     attempts = envs.unwrapped.task_instance.config.tries
-    for begin in range(0, machines, LANES):
+    for begin in range(0, machines, PARALLEL_ENVS):
         observation, _ = envs.reset(seed=seed + begin)
-        choose, total, before = host(LANES), np.zeros(LANES), np.full(LANES, np.nan)
+        choose, total, before = host(PARALLEL_ENVS), np.zeros(PARALLEL_ENVS), np.full(PARALLEL_ENVS, np.nan)
         for _ in range(attempts):
             before = choose(before, observation[:, names.index("kept")] > 0)
             observation, rewards, *_, info = envs.step(np.stack([compute_scaled_action(b) for b in before]))

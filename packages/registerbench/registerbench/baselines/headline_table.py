@@ -124,7 +124,7 @@ FULL_PLAN = Plan(
 QUICK_PLAN = Plan(
     splits={"one-shot": ("weak",)},
     players={"one-shot": ("formula", "random")},
-    oracle_tries={"one-shot": oracle.LANES},
+    oracle_tries={"one-shot": oracle.PARALLEL_ENVS},
     oracle_seconds={"one-shot": 30.0},
     learners=(Learner("one-shot", "es", "cmaes", 5.0, {"generations": 1}, runs=1),),
 )

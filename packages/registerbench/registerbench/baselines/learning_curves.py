@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 import registerbench
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.benchmark_tasks import OPEN_ROUND
 from registerbench.score_statistics import compute_interval, compute_iqm
 from stage.support import plot_style
@@ -36,14 +36,14 @@ DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "l
 EPISODES = 32  # test episodes of a point
 COLUMNS = ("task", "player", "run", "steps", "processor_s", "episode", "return", "success")
 RUNS = {"one-shot": 5, "few-shot": 5, "few-shot-wide": 10, "home": 5, "line": 5}
-BUS = {"origin": range(5)}
+BUS_MACROS_SEEDS = {"origin": range(5)}
 """Seeds by the last level of the curriculum."""
 PANELS = {
     "one-shot": "T1 OneShotTuning", "few-shot": "T2 FewShotTuning, the best try counts",
     "few-shot-wide": "T2 FewShotTuning, wide, the last try counts", "home": "T3 DriftingHome", "bus": "T4 BusMacros",
     "line": "T5 SynchronizedLine",
 }  # fmt: skip
-OTHERS = {"formula": "-.", "scripted": "-.", "search": "--", "random": ":"}
+PLAYER_LINE_STYLES = {"formula": "-.", "scripted": "-.", "search": "--", "random": ":"}
 
 
 def learn_missing_runs(folder: Path, tasks: list[str], quick: bool) -> None:
@@ -62,7 +62,7 @@ def learn_missing_runs(folder: Path, tasks: list[str], quick: bool) -> None:
     if "bus" in tasks:
         from registerbench.baselines import bus_macros_learners as bus
 
-        for level, runs in BUS.items() if not quick else {"target": (0,)}.items():
+        for level, runs in BUS_MACROS_SEEDS.items() if not quick else {"target": (0,)}.items():
             for run in runs:
                 if not (folder / f"{level}-dqn-{run}.zip").exists():
                     bus.learn("dqn", run, 0.1 if quick else 1.0, level, folder)
@@ -137,7 +137,7 @@ def interpolate_levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndar
     return at, np.stack([np.interp(at, *c, left=0.0) for c in curves], axis=1)[:, :, None]
 
 
-def read_other_players(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
+def read_published_scores(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
     """Read the published scores of a task's players that do not learn.
 
     Args:
@@ -149,7 +149,7 @@ def read_other_players(task: str, episodes: int) -> dict[str, dict[str, np.ndarr
     """
     scores_by_player = {}
     published = registerbench.read_entries(DOCS / "data" / "entries" / f"{task}.zip")
-    for name in OTHERS:
+    for name in PLAYER_LINE_STYLES:
         entry = published.get(f"{task}-train-{name}-0.bench")
         if entry is not None and entry.round == OPEN_ROUND:
             scores_by_player[name] = {score: values[:episodes] for score, values in entry.scores.items()}
@@ -198,7 +198,7 @@ def format_table(rows_by_task: dict[str, dict[str, dict[str, list[dict]]]]) -> s
                         f"{w.mean():.0%}",
                     )
                 )
-        for name, scores in read_other_players(task, EPISODES).items():
+        for name, scores in read_published_scores(task, EPISODES).items():
             v, w = scores["return"], scores["success"]
             lines.append(
                 (
@@ -236,9 +236,11 @@ def draw_panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) ->
             label=f"{player}, {len(runs)} run{'s'[: len(runs) > 1]}",
         )
     for name, scores in (
-        {} if task == "bus" else read_other_players(task, EPISODES)
+        {} if task == "bus" else read_published_scores(task, EPISODES)
     ).items():  # returns, where bus has shares
-        ax.axhline(compute_iqm(scores["return"]), color=plot_style.MUTED_COLOR, lw=1.2, ls=OTHERS[name], label=name)
+        ax.axhline(
+            compute_iqm(scores["return"]), color=plot_style.MUTED_COLOR, lw=1.2, ls=PLAYER_LINE_STYLES[name], label=name
+        )
     plot_style.set_title(ax, PANELS[task])
     what = "solved, of 64 machines" if task == "bus" else "return, IQM of test episodes"
     ax.set_xlabel("macros of learning" if task == "bus" else "tries of learning", fontsize=8)
@@ -278,7 +280,7 @@ def main() -> None:
     p.add_argument("--picture", type=Path, default=PICTURE, metavar="FILE.png")
     p.set_defaults(run=lambda a: (a.runs and pack_runs(a.runs, a.data), draw_curves(a.data, a.picture)))
     args = parser.parse_args()
-    with explain_interrupt("the finished runs are saved, and the same command continues after them."):
+    with exit_on_interrupt("the finished runs are saved, and the same command continues after them."):
         args.run(args)
 
 

@@ -1,6 +1,6 @@
 """Runs of the methods that baseline_comparison.py compares: a search, the proofs of its best moves, and a test of its answer.
 
-    MethodRuns.read("data/results.parquet").runs[3].answer
+    MethodRuns.read("data/results.parquet").runs[3].answer_number
 
 A Parquet file stores every move. A test consists of moves that neither the search nor a proof has made: other rotor angles,
 other payloads, both directions, other distances, and payloads beyond the margin. Nothing is chosen by a test.
@@ -25,10 +25,10 @@ import pyarrow.parquet
 from registerbench.baselines import formula, searches, tool_calling_agent
 from registerbench.baselines.move_tuning import (
     CANDIDATES,
-    LANES,
-    MARGIN,
-    MAX_HOLDING,
+    MAX_HOLDING_MOVES,
     MODEL,
+    PARALLEL_ENVS,
+    PAYLOAD_MARGIN_KG,
     MoveLog,
     MoveTuning,
     find_best_proof,
@@ -39,11 +39,11 @@ from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 FIRST_SEED = 1  # the settings were chosen with seed 0
 TEST_SEED = 1_000  # used by no search and no proof
 NEW_MOVES, SHORTER_MOVES = "new", "shorter"
-MIN_DISTANCE = 12_800  # pulses, 40 mm
+MIN_DISTANCE_PULSES = 12_800  # pulses, 40 mm
 EXTRA_PAYLOADS_KG = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
 
 
-class TestContext(NamedTuple):
+class TestConditions(NamedTuple):
     """Kind of moves in the test of an answer: their number, additional masses and distances.
 
     Attributes:
@@ -59,10 +59,10 @@ class TestContext(NamedTuple):
     min_distance: int | None = None
 
 
-TEST_CONTEXTS = {
-    NEW_MOVES: TestContext(128, max_extra_kg=MARGIN),
-    SHORTER_MOVES: TestContext(64, max_extra_kg=MARGIN, min_distance=MIN_DISTANCE),
-    **{f"+{kg:g} kg": TestContext(16, extra_kg=kg) for kg in EXTRA_PAYLOADS_KG},
+TEST_CONDITIONS = {
+    NEW_MOVES: TestConditions(128, max_extra_kg=PAYLOAD_MARGIN_KG),
+    SHORTER_MOVES: TestConditions(64, max_extra_kg=PAYLOAD_MARGIN_KG, min_distance=MIN_DISTANCE_PULSES),
+    **{f"+{kg:g} kg": TestConditions(16, extra_kg=kg) for kg in EXTRA_PAYLOADS_KG},
 }
 """Kinds of moves in a test, by name. Every second move goes in the minus direction."""
 
@@ -86,7 +86,7 @@ class Method:
     color: str
     fixed_moves: int | None = None
     space: str = "knobs"
-    lanes: int = LANES
+    lanes: int = PARALLEL_ENVS
     budget_share: float = 1.0  # of the budget
 
     def count_moves(self, budget: int) -> int:
@@ -100,11 +100,13 @@ def load_search_lazily(name: str) -> Callable[[MoveTuning, int], None]:
 
 
 FORMULA = Method("formula", formula.make_formula_move, "#66717d", 1, "registers", 1)
-BOLDEST = Method("formula, boldest", formula.try_safety_factors, "#1d2733", len(formula.SAFETY_FACTORS), "registers", 1)
+BOLDEST_FORMULA_METHOD = Method(
+    "formula, boldest", formula.try_safety_factors, "#1d2733", len(formula.SAFETY_FACTORS), "registers", 1
+)
 METHODS = (
     FORMULA,
-    BOLDEST,
-    Method("agent loop", tool_calling_agent.search_by_technician, "#8a6bb8", 64, "registers", 1),
+    BOLDEST_FORMULA_METHOD,
+    Method("agent loop", tool_calling_agent.search_by_scripted_agent, "#8a6bb8", 64, "registers", 1),
     Method("random", searches.search_randomly, "#d9a441"),
     Method("CMA-ES", searches.search_by_cma_es, "#17508f", lanes=8),
     Method("PPO", load_search_lazily("search_by_ppo"), "#d1571f"),
@@ -154,14 +156,18 @@ class MethodRun:
         if ranked:
             rows = [search.registers[k] for k in ranked]
             run.proof_logs = dict(
-                zip(ranked, prove_rows(rows, mass, model=model, margin=MARGIN, needed=MAX_HOLDING), strict=False)
+                zip(
+                    ranked,
+                    prove_rows(rows, mass, model=model, margin=PAYLOAD_MARGIN_KG, needed=MAX_HOLDING_MOVES),
+                    strict=False,
+                )
             )
-        if run.answer is not None:
-            run.test_logs = run_test(search.registers[run.answer], mass, model)
+        if run.answer_number is not None:
+            run.test_logs = run_test(search.registers[run.answer_number], mass, model)
         return run
 
     @property
-    def answer(self) -> int | None:
+    def answer_number(self) -> int | None:
         """Number of the move that is the answer; None if no repeated move holds."""
         which = find_best_proof(list(self.proof_logs.values()))
         return None if which is None else list(self.proof_logs)[which]
@@ -170,13 +176,17 @@ class MethodRun:
     def registers(self) -> dict[str, int]:
         """Registers of the answer by name."""
         return (
-            dict(zip(REGISTERS, self.search_log.registers[self.answer], strict=True)) if self.answer is not None else {}
+            dict(zip(REGISTERS, self.search_log.registers[self.answer_number], strict=True))
+            if self.answer_number is not None
+            else {}
         )
 
     @property
-    def lucky_moves(self) -> int:
+    def lucky_move_count(self) -> int:
         """Number of proved moves that rank above the answer by their reward in the search; all of them if none holds."""
-        return list(self.proof_logs).index(self.answer) if self.answer is not None else len(self.proof_logs)
+        return (
+            list(self.proof_logs).index(self.answer_number) if self.answer_number is not None else len(self.proof_logs)
+        )
 
     @property
     def in_step_share(self) -> float:
@@ -196,7 +206,7 @@ class MethodRun:
         values = np.array(getattr(log, name))[log.in_step if in_step_only else slice(None)]
         return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
 
-    def count_lost(self, context: str) -> int:
+    def count_failed_moves(self, context: str) -> int:
         """Count the moves of the test that lost steps or did not make all their pulses.
 
         Args:
@@ -208,8 +218,8 @@ class MethodRun:
     def reward_excess(self) -> float:
         """Mean reward of the answer's proof minus that of its test, in ms of move time: a reward of 1 stands for 1 s."""
         return (
-            1e3 * float(np.mean(self.proof_logs[self.answer].reward)) - self.compute_mean("reward")
-            if self.answer is not None
+            1e3 * float(np.mean(self.proof_logs[self.answer_number].reward)) - self.compute_mean("reward")
+            if self.answer_number is not None
             else np.nan
         )
 
@@ -218,7 +228,7 @@ class MethodRun:
         """Largest mass on top of the payload, kg, up to which no move of the test lost a step."""
         holding = 0.0
         for kg in EXTRA_PAYLOADS_KG if self.test_logs else ():
-            if self.count_lost(f"+{kg:g} kg"):
+            if self.count_failed_moves(f"+{kg:g} kg"):
                 return holding
             holding = kg
         return holding if self.test_logs else np.nan
@@ -228,7 +238,7 @@ class MethodRun:
         """Moves of the run, in order, as a table of PyArrow."""
         parts = [("search", "", None, self.search_log)]
         parts += [("proof", "", number, log) for number, log in self.proof_logs.items()]
-        parts += [("test", context, self.answer, log) for context, log in self.test_logs.items()]
+        parts += [("test", context, self.answer_number, log) for context, log in self.test_logs.items()]
         return pyarrow.concat_tables([make_table(self, *part) for part in parts])
 
 
@@ -244,7 +254,7 @@ def run_test(registers: list[int], payload: float, model: str) -> dict[str, Move
         Moves by the name of the test context.
     """
     logs = {}
-    for seed, (name, c) in enumerate(TEST_CONTEXTS.items(), TEST_SEED):
+    for seed, (name, c) in enumerate(TEST_CONDITIONS.items(), TEST_SEED):
         settings: dict[str, Any] = {
             "seed": seed,
             "model": model,
@@ -262,7 +272,7 @@ def run_test(registers: list[int], payload: float, model: str) -> dict[str, Move
 
 # The Parquet file has a row for each move.
 
-WORDS = pyarrow.dictionary(pyarrow.int8(), pyarrow.string())
+DICTIONARY_STRING_TYPE = pyarrow.dictionary(pyarrow.int8(), pyarrow.string())
 UNITS = {
     "kg": "kg on the table",
     "angle": "electrical turns",
@@ -272,7 +282,7 @@ UNITS = {
 }
 SCHEMA = pyarrow.schema(
     [
-        *((name, WORDS) for name in ("payload", "method", "part", "context")),
+        *((name, DICTIONARY_STRING_TYPE) for name in ("payload", "method", "part", "context")),
         ("seed", pyarrow.int16()),
         ("of", pyarrow.int16()),  # number of the move in the search that has these registers
         ("number", pyarrow.int16()),
@@ -307,7 +317,9 @@ def make_table(run: MethodRun, part: str, context: str, number: int | None, log:
         "kg": kg, "angle": angle, **dict(zip(REGISTERS, zip(*log.registers, strict=True), strict=True)), "reward": log.reward,
         "duration_s": log.duration, "vibration_um": [1e6 * v for v in log.vibration], "lost_steps": log.lost, "kept": log.in_step,
     }  # fmt: skip
-    arrays = [pyarrow.array(columns[f.name], pyarrow.string() if f.type == WORDS else f.type) for f in SCHEMA]
+    arrays = [
+        pyarrow.array(columns[f.name], pyarrow.string() if f.type == DICTIONARY_STRING_TYPE else f.type) for f in SCHEMA
+    ]
     return pyarrow.table([a.cast(f.type) for a, f in zip(arrays, SCHEMA, strict=True)], schema=SCHEMA)
 
 
@@ -435,7 +447,7 @@ class MethodRuns:
         self.took += took
         text = "none holds"
         if run.test_logs:
-            lost = f"{run.count_lost(NEW_MOVES)} and {run.count_lost(SHORTER_MOVES)} moves of the test lost"
+            lost = f"{run.count_failed_moves(NEW_MOVES)} and {run.count_failed_moves(SHORTER_MOVES)} moves of the test lost"
             reward, duration = run.compute_mean("reward"), run.compute_mean("duration")
             text = f"{reward:.1f} ms, {duration:.1f} of it time; {lost}, {run.spare_payload:.1f} kg to spare"
         print(

@@ -29,17 +29,17 @@ from stage.envs.register_tuning import RegisterTuning
 from stage.envs.stage_env import StageVectorEnv
 from stage.firmware.driver import get_driver
 
-DISTANCE = 32_000  # pulses; 100 mm on the default stage
-PAYLOADS = {"light": 0.5, "heavy": 10.0}  # kg on the table of the X axis
+DISTANCE_PULSES = 32_000  # pulses; 100 mm on the default stage
+PAYLOADS_KG = {"light": 0.5, "heavy": 10.0}  # kg on the table of the X axis
 TURN = 64  # pulses of an electrical turn: distances vary by up to +-TURN, starting positions by up to +-TURN / 2
-TOLERANCE = 0.03  # share by which the payload varies
-LIMIT = 1.0  # s, longest duration of a move; twice what the formula needs
+PAYLOAD_TOLERANCE = 0.03  # share by which the payload varies
+MAX_MOVE_TIME_S = 1.0  # s, longest duration of a move; twice what the formula needs
 BUDGET = 1_024  # moves
-LANES = 16  # moves made at once
+PARALLEL_ENVS = 16  # moves made at once
 CHIP, MODEL = "PCL240K", "xyz"
 CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # number of best moves that a proof repeats, and repetitions of each
-MARGIN = 0.5  # kg: the moves of a proof carry from 0 to MARGIN beyond the payload
-MAX_HOLDING = 5  # moves that hold in their proof, of which the answer is the one with the highest mean reward
+PAYLOAD_MARGIN_KG = 0.5  # kg: the moves of a proof carry from 0 to PAYLOAD_MARGIN_KG beyond the payload
+MAX_HOLDING_MOVES = 5  # moves that hold in their proof, of which the answer is the one with the highest mean reward
 SPACES = ("registers", "knobs")
 
 
@@ -126,8 +126,8 @@ class MoveTuning:
         payload: float,
         budget: int = BUDGET,
         space: str = "knobs",
-        distance: int = DISTANCE,
-        lanes: int = LANES,
+        distance: int = DISTANCE_PULSES,
+        lanes: int = PARALLEL_ENVS,
         seed: int = 0,
         chip: str = CHIP,
         model: str = MODEL,
@@ -141,9 +141,9 @@ class MoveTuning:
             "chip": chip,
             "s_curve": False,
             "distances": (min_distance or distance - TURN, distance + TURN),
-            "payloads": (payload * (1 - TOLERANCE), (payload + max_extra_kg) * (1 + TOLERANCE)),
+            "payloads": (payload * (1 - PAYLOAD_TOLERANCE), (payload + max_extra_kg) * (1 + PAYLOAD_TOLERANCE)),
             "moves": budget + lanes,
-            "limit": LIMIT,
+            "limit": MAX_MOVE_TIME_S,
         }
         self.env: Any = (
             BothDirectionsVectorEnv(num_envs=lanes, **settings)
@@ -231,7 +231,7 @@ class MoveTuning:
 def prove_rows(
     rows: Sequence[Sequence[int]],
     payload: float,
-    distance: int = DISTANCE,
+    distance: int = DISTANCE_PULSES,
     repeats: int = REPEATS,
     chip: str = CHIP,
     model: str = MODEL,
@@ -280,11 +280,11 @@ def find_best_proof(proofs: Sequence[MoveLog]) -> int | None:
 def choose_answer(
     rows: Sequence[Sequence[int]],
     payload: float,
-    distance: int = DISTANCE,
+    distance: int = DISTANCE_PULSES,
     repeats: int = REPEATS,
     chip: str = CHIP,
     model: str = MODEL,
-    margin: float = MARGIN,
+    margin: float = PAYLOAD_MARGIN_KG,
 ) -> tuple[int, MoveLog] | None:
     """Choose the answer of a method, by the same rule for all methods.
 
@@ -298,9 +298,9 @@ def choose_answer(
         margin: Mass beyond the payload, kg.
 
     Returns:
-        Index of the best of the first MAX_HOLDING rows that hold, and the moves of its proof; None if no row holds.
+        Index of the best of the first MAX_HOLDING_MOVES rows that hold, and the moves of its proof; None if no row holds.
     """
-    proofs = prove_rows(rows, payload, distance, repeats, chip, model, margin, MAX_HOLDING)
+    proofs = prove_rows(rows, payload, distance, repeats, chip, model, margin, MAX_HOLDING_MOVES)
     which = find_best_proof(proofs)
     return None if which is None else (which, proofs[which])
 
@@ -312,7 +312,7 @@ def format_answer(
     distance: int,
     chip: str = CHIP,
     model: str = MODEL,
-    margin: float = MARGIN,
+    margin: float = PAYLOAD_MARGIN_KG,
 ) -> str:
     """Choose the answer of a method by `choose_answer`, and format it as one line.
 
@@ -367,13 +367,17 @@ def make_parser(doc: str | None, searches: bool = True, chips: bool = True) -> a
         chips: Whether the chip is an option.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--payload", type=float, default=PAYLOADS["light"], metavar="KG", help="mass on the table")
-    parser.add_argument("--distance", type=int, default=DISTANCE, metavar="PULSES", help="length of the move")
+    parser.add_argument("--payload", type=float, default=PAYLOADS_KG["light"], metavar="KG", help="mass on the table")
+    parser.add_argument("--distance", type=int, default=DISTANCE_PULSES, metavar="PULSES", help="length of the move")
     if chips:
         parser.add_argument("--chip", choices=CHIPS, default=CHIP)
     parser.add_argument("--model", default=MODEL, metavar="NAME", help="model of the stage, or an MJCF file")
     parser.add_argument(
-        "--margin", type=float, default=MARGIN, metavar="KG", help="largest mass beyond the payload in the proof"
+        "--margin",
+        type=float,
+        default=PAYLOAD_MARGIN_KG,
+        metavar="KG",
+        help="largest mass beyond the payload in the proof",
     )
     if searches:
         parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="number of moves")

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.learner_support import (
     EpisodeRecorder,
@@ -33,14 +33,19 @@ from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/OneShotTuning-v1", "one-shot"
 KINDS: dict[str, Any] = {"ppo": PPO, "sac": SAC}
-STEPS, LANES, BATCH = 4_096, 16, 512
-SPREAD = -0.7  # logarithm of the standard deviation of the first choices
+STEPS, PARALLEL_ENVS, BATCH = 4_096, 16, 512
+INITIAL_LOG_STD = -0.7  # logarithm of the standard deviation of the first choices
 SETTINGS: dict[str, dict[str, Any]] = {
-    "ppo": {"n_steps": BATCH // LANES, "batch_size": 128, "n_epochs": 10, "policy_kwargs": {"log_std_init": SPREAD}},
+    "ppo": {
+        "n_steps": BATCH // PARALLEL_ENVS,
+        "batch_size": 128,
+        "n_epochs": 10,
+        "policy_kwargs": {"log_std_init": INITIAL_LOG_STD},
+    },
     "sac": {
         "learning_starts": BATCH,
         "train_freq": 1,
-        "gradient_steps": LANES // 2,
+        "gradient_steps": PARALLEL_ENVS // 2,
         "batch_size": 128,
         "ent_coef": 0.01,
     },
@@ -57,12 +62,12 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
         folder: Folder of the files.
     """
     torch.set_num_threads(1)
-    envs = EpisodeRecorder(StageVecEnv(ID, LANES, threads=1, **CHEAPER_SETTINGS[TASK]))
+    envs = EpisodeRecorder(StageVecEnv(ID, PARALLEL_ENVS, threads=1, **CHEAPER_SETTINGS[TASK]))
     settings = {**SETTINGS[method], "learning_rate": 1e-3, "seed": seed, "device": "cpu"}
     settings["policy_kwargs"] = {"net_arch": [64, 64], **settings.get("policy_kwargs", {})}
     model = KINDS[method]("MlpPolicy", envs, **settings)
     if method == "sac":
-        torch.nn.init.constant_(model.actor.log_std.bias, SPREAD)
+        torch.nn.init.constant_(model.actor.log_std.bias, INITIAL_LOG_STD)
     path = folder / f"{TASK}_{method}-{seed}"
     model.learn(steps, callback=LearningCurveWriter(path.with_suffix(".csv"), BATCH))
     envs.close()
@@ -104,7 +109,7 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_
 if __name__ == "__main__":
     parser = make_parser(__doc__, tuple(KINDS), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
-    with explain_interrupt(
+    with exit_on_interrupt(
         "the curve so far and earlier files are saved; the same command learns the whole run again."
     ):
         args.run(args)

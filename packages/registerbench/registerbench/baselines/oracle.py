@@ -4,9 +4,9 @@ python -m registerbench.baselines.oracle -o entries --tasks one-shot home --spli
 
 It begins with the actions of the task's scripted host, and with a report if the machine has a fault that is to be reported. Then it
 changes them by normal numbers, keeps the best, and narrows the search when nothing better comes. In a task of several attempts,
-each try is an episode of one attempt; the best LANES of them are then played as whole episodes whose attempts are all the same,
-and the best of these counts. The oracle plays every try on the machine of the test episode itself, which no player may do; the
-entry states the number of steps as its cost, and is on the track truth.
+each try is an episode of one attempt; the best PARALLEL_ENVS of them are then played as whole episodes whose attempts are all
+the same, and the best of these counts. The oracle plays every try on the machine of the test episode itself, which no player
+may do; the entry states the number of steps as its cost, and is on the track truth.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.training_envs import make_training_envs
 from registerbench.benchmark_tasks import CARDS, OPEN_ROUND, Card, list_test_seeds
 from registerbench.score_statistics import ORACLE, ORACLE_TRACK
 from stage.errors import ArgumentError
 
-LANES = 16  # tries that are played at once
+PARALLEL_ENVS = 16  # tries that are played at once
 FIRST_SIGMA, SHRINK_FACTOR = 0.3, 0.85
 
 
@@ -42,13 +42,13 @@ class EpisodeSearch:
 
     def __init__(self, card: Card, split: str):
         self._env = card.make_env(split, ORACLE_TRACK, {})
-        self._envs = card.make_env(split, ORACLE_TRACK, {}, LANES)
+        self._envs = card.make_env(split, ORACLE_TRACK, {}, PARALLEL_ENVS)
         if not isinstance(self._env.action_space, gymnasium.spaces.Box):
             raise ArgumentError(f"task {card.name}: the oracle searches continuous actions; take another task.")
         self._attempts = getattr(self._env.task_instance.config, "tries", 1)
         self._single_attempts = self._envs
         if self._attempts > 1:
-            self._single_attempts = make_training_envs(card.name, LANES, split=split, truth=True, tries=1)
+            self._single_attempts = make_training_envs(card.name, PARALLEL_ENVS, split=split, truth=True, tries=1)
         self.steps = 0
 
     def play_scripted_host(self, seed: int) -> tuple[list[np.ndarray], bool]:
@@ -66,12 +66,12 @@ class EpisodeSearch:
         """Play the tries of an episode's actions, and return the sum of rewards of each try.
 
         Args:
-            envs: Vector environment with LANES environments.
+            envs: Vector environment with PARALLEL_ENVS environments.
             seed: Seed of the episode.
-            candidates: Actions, (LANES, steps, ...); the last one is repeated if an episode goes on.
+            candidates: Actions, (PARALLEL_ENVS, steps, ...); the last one is repeated if an episode goes on.
         """
-        envs.reset(seed=[seed] * LANES)
-        total, is_over, step = np.zeros(LANES), np.zeros(LANES, bool), 0
+        envs.reset(seed=[seed] * PARALLEL_ENVS)
+        total, is_over, step = np.zeros(PARALLEL_ENVS), np.zeros(PARALLEL_ENVS, bool), 0
         while not is_over.all():
             actions = candidates[:, min(step, candidates.shape[1] - 1)]
             _, rewards, terminated, truncated, _ = envs.step(actions)
@@ -92,32 +92,37 @@ class EpisodeSearch:
         has_report = any(e.name == "reported" for e in self._env.info_features)
         if has_report:  # the last number reports a fault; the oracle knows whether there is one
             searched[-1], begin[:, -1] = 0.0, 1.0 if is_faulty else -1.0
-            budget = LANES if is_faulty else budget
+            budget = PARALLEL_ENVS if is_faulty else budget
         return self._search(self._envs, seed, begin, searched, budget)[0]
 
     def _find_best_attempt(self, seed: int, begin: np.ndarray, budget: int) -> np.ndarray:
         """Search the best single attempt of an episode, and return its action for all attempts, (attempts, ...)."""
         single = self._search(self._single_attempts, seed, begin[None], np.ones(len(begin)), budget)
-        candidates = np.repeat(np.stack([single[k % len(single)] for k in range(LANES)]), self._attempts, axis=1)
+        candidates = np.repeat(
+            np.stack([single[k % len(single)] for k in range(PARALLEL_ENVS)]), self._attempts, axis=1
+        )
         return candidates[int(np.argmax(self.play_candidates(self._envs, seed, candidates)))]
 
     def _search(self, envs: Any, seed: int, begin: np.ndarray, searched: np.ndarray, budget: int) -> list[np.ndarray]:
         """Search the best actions of an episode.
 
         Args:
-            envs: Vector environment with LANES environments.
+            envs: Vector environment with PARALLEL_ENVS environments.
             seed: Seed of the episode.
-            begin: Actions with which the search begins, (steps, ...).
+            begin: ActionKind with which the search begins, (steps, ...).
             searched: 1 for each number of an action that changes, else 0.
             budget: Number of tries.
 
         Returns:
-            Up to LANES of the actions that were tried, the best first.
+            Up to PARALLEL_ENVS of the actions that were tried, the best first.
         """
         rng, best, best_return, sigma = np.random.default_rng(seed), begin, -np.inf, FIRST_SIGMA
         tried: list[tuple[float, np.ndarray]] = []
-        for generation in range(max(budget // LANES, 1)):
-            common, single = rng.normal(size=(LANES, 1, best.shape[1])), rng.normal(size=(LANES, *best.shape))
+        for generation in range(max(budget // PARALLEL_ENVS, 1)):
+            common, single = (
+                rng.normal(size=(PARALLEL_ENVS, 1, best.shape[1])),
+                rng.normal(size=(PARALLEL_ENVS, *best.shape)),
+            )
             changes = sigma * searched * (common + 0.3 * single)
             changes[0] = 0.0 if generation == 0 else changes[0]
             candidates = np.clip(best + changes, -1, 1).astype(np.float32)
@@ -128,7 +133,7 @@ class EpisodeSearch:
                 best, best_return = candidates[winner], float(returns[winner])
             else:
                 sigma *= SHRINK_FACTOR
-        return [actions for _, actions in sorted(tried, key=lambda x: -x[0])[:LANES]]
+        return [actions for _, actions in sorted(tried, key=lambda x: -x[0])[:PARALLEL_ENVS]]
 
     def close(self) -> None:
         """Close the environments in which the search plays."""
@@ -178,5 +183,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with explain_interrupt("the entries written so far are saved."):
+    with exit_on_interrupt("the entries written so far are saved."):
         main()

@@ -22,7 +22,7 @@ from registerbench.benchmark_tasks import CARDS
 from stage.envs.few_shot import FewShotTuning
 
 SPEED_FACTORS = np.geomspace(1.3, 8.5, 20)
-LANES = 8
+PARALLEL_ENVS = 8
 POPULATION, GENERATIONS = 16, 60
 
 
@@ -108,23 +108,23 @@ def measure_outcomes_by_speed_factor(task: str, first_seed: int, machines: int) 
     Args:
         task: Name of a card.
         first_seed: Seed of the first machine.
-        machines: Number of machines, a multiple of LANES.
+        machines: Number of machines, a multiple of PARALLEL_ENVS.
 
     Returns:
         The outcomes.
     """
-    envs = make_training_envs(task, LANES, **CHEAPER_SETTINGS[task] | {"tries": 1})
+    envs = make_training_envs(task, PARALLEL_ENVS, **CHEAPER_SETTINGS[task] | {"tries": 1})
     names, outcomes, moves = [e.name for e in envs.observation_features], [], 0
-    for begin in range(0, machines, LANES):
+    for begin in range(0, machines, PARALLEL_ENVS):
         rows = []
         for b in SPEED_FACTORS:
             envs.reset(seed=first_seed + begin)
-            observation, *_, info = envs.step(compute_scaled_actions(np.full(LANES, b)).astype(np.float32))
+            observation, *_, info = envs.step(compute_scaled_actions(np.full(PARALLEL_ENVS, b)).astype(np.float32))
             worth = np.maximum(np.log(2 * info["usual"]) - np.log(info["proved"]), 0.0)
             rows.append(
                 (info["kept"], observation[:, names.index("kept")] > 0, worth, observation[:, names.index("distance")])
             )
-            moves += LANES
+            moves += PARALLEL_ENVS
             if not info["kept"].any() and b > 4:
                 break  # a faster move loses steps as well
         rows += [copy.deepcopy(rows[-1])] * (len(SPEED_FACTORS) - len(rows))

@@ -4,7 +4,8 @@ python -m registerbench.baselines.parametric_policy_learners learn one-shot -o r
 python -m registerbench.baselines.parametric_policy_learners learn few-shot-wide --seeds 0 1 2 3 4 5 6 7 8 9 -o runs
 python -m registerbench.baselines.parametric_policy_learners submit runs/few-shot-wide_*.json -o entries --splits train nova
 
-A generation consists of POPULATION candidates, which play on the same machines of the split train (BUDGET); each generation of each
+A generation consists of POPULATION candidates, which play on the same machines of the split train
+(GENERATIONS_AND_MACHINES); each generation of each
 run has other machines. The policy is the mean of CMA-ES's distribution after the last generation. Nothing is chosen by test
 episodes. Training has cheaper settings than the tests (training_envs.py). The mean plays test episodes before the first generation
 and after a quarter, half and all of the generations. They form the learning curve: a CSV file with a row for each episode.
@@ -27,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.outcomes_by_speed_factor import learn_policy_numbers, measure_outcomes_by_speed_factor
 from registerbench.baselines.parametric_policies import PARAMETRIC_POLICIES, ParametricPolicy, SpeedFactorPolicy
@@ -35,7 +36,7 @@ from registerbench.baselines.training_commands import add_enter_command, format_
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 
-BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
+GENERATIONS_AND_MACHINES = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
 """Number of generations, and number of machines in each, by task."""
 POPULATION = 8
 TABLE_MACHINES, TABLE_PARTS = 48, (12, 48)
@@ -83,7 +84,7 @@ class ParametricPolicyLearner:
 
     def __init__(self, task: str, player: str, seed: int):
         self.policy_class, self.task, self.seed = PARAMETRIC_POLICIES[task, player], task, seed
-        self.generations, self.machines = BUDGET.get(task, (0, 1))
+        self.generations, self.machines = GENERATIONS_AND_MACHINES.get(task, (0, 1))
         self.learning = make_training_envs(task, self.machines, **CHEAPER_SETTINGS.get(task, {}))
         self.testing = make_training_envs(task, EPISODES)
         self.moves, self.seconds = 0, 0.0
@@ -190,7 +191,7 @@ def learn(
         task: Name of a card.
         run: Number of the run, its seed.
         folder: Folder of the files.
-        generations: Number of generations; None: that of BUDGET.
+        generations: Number of generations; None: that of GENERATIONS_AND_MACHINES.
         machines: Number of machines of the table, for a policy that learns on one.
         players: Names of the players whose policies are learned; None: all of the task.
     """
@@ -293,7 +294,7 @@ def main() -> None:
     )
     p.set_defaults(run=enter)
     args = parser.parse_args()
-    with explain_interrupt("the finished runs are saved, and the same command continues after them."):
+    with exit_on_interrupt("the finished runs are saved, and the same command continues after them."):
         args.run(args)
 
 

@@ -20,7 +20,7 @@ from stage.envs.sb3 import VecEnvAdapter
 torch.set_num_threads(1)  # the networks are small, and the stages need the processors
 
 BATCH = 32  # moves between two improvements of PPO
-SPREAD = -1.5  # logarithm of the standard deviation of the first choices
+INITIAL_LOG_STD = -1.5  # logarithm of the standard deviation of the first choices
 WORST, SCALE = -1.0, 5.0
 """A learner's reward is SCALE x max(reward of the environment, WORST); moves that lost steps have WORST."""
 
@@ -63,7 +63,7 @@ def search_by_ppo(moves: MoveTuning, seed: int = 0) -> None:
         n_epochs=10,
         learning_rate=3e-3,
         clip_range=0.3,
-        policy_kwargs={"log_std_init": SPREAD, "net_arch": [32]},
+        policy_kwargs={"log_std_init": INITIAL_LOG_STD, "net_arch": [32]},
         seed=seed,
         device="cpu",
     )
@@ -90,7 +90,7 @@ def search_by_sac(moves: MoveTuning, seed: int = 0) -> None:
         seed=seed,
         device="cpu",
     )
-    torch.nn.init.constant_(model.actor.log_std.bias, SPREAD)
+    torch.nn.init.constant_(model.actor.log_std.bias, INITIAL_LOG_STD)
     model.learn(moves.moves_left)
 
 

@@ -25,7 +25,7 @@ from stage.firmware.hctl1100.moves import FilterTuning
 from stage.firmware.hctl1100.servo_loop_model import DEFAULT_POLE, MAX_RATTLE, PHASE_MARGIN_DEGREES, ServoLoop
 from stage.support.extras import import_extra
 
-TIMER = 0x40  # sample timer after a reset
+DEFAULT_SAMPLE_TIMER = 0x40  # sample timer after a reset
 MAX_MARGIN_LOSS_DEGREES = 3.0  # by which a rounded gain may reduce the phase margin
 
 
@@ -86,7 +86,7 @@ def design_filter(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle:
     return compute_margins(replace(loop, tuning=servo_loop_model.design_filter(loop, margin, rattle)))
 
 
-def design_registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
+def design_registers(axis: Any, timer: int = DEFAULT_SAMPLE_TIMER) -> dict[str, int]:
     """Design the filter for an axis of a stage and its payload.
 
     Args:
@@ -173,7 +173,7 @@ def main() -> None:
     args = parser.parse_args()
     stage = Stage("xyz_servo", chips=HCTL1100)
     stage.set_payload(args.payload)
-    loop = ServoLoop.from_axis(stage.axes["x"], FilterTuning(pole=DEFAULT_POLE, timer=TIMER))
+    loop = ServoLoop.from_axis(stage.axes["x"], FilterTuning(pole=DEFAULT_POLE, timer=DEFAULT_SAMPLE_TIMER))
     try:
         by_reset, designed = compute_margins(loop), design_filter(loop, args.margin, args.rattle)
     except StageError as error:

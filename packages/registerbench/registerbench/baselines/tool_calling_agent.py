@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from registerbench.baselines.move_tuning import (
-    DISTANCE,
-    LIMIT,
+    DISTANCE_PULSES,
+    MAX_MOVE_TIME_S,
     MODEL,
     TURN,
     MoveLog,
@@ -27,7 +27,7 @@ from registerbench.baselines.move_tuning import (
 )
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
-from stage.envs.move_trials import MAX_OFFSET_M, TENTH_MM
+from stage.envs.move_trials import DISPLACEMENT_SCALE_M, MAX_OFFSET_M
 from stage.envs.register_tuning import Config
 from stage.errors import RunTimeout
 from stage.firmware import ChipPort
@@ -35,7 +35,7 @@ from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 from stage.firmware.pcl240.speed_profile import TAIL_PULSES, compute_ramp_pulses
 
-TASK = """You tune a {chip} that drives a linear axis with a stepper motor. Make a preset move of {pulses} pulses (3.125 um
+TASK_PROMPT = """You tune a {chip} that drives a linear axis with a stepper motor. Make a preset move of {pulses} pulses (3.125 um
 each) with {payload:g} kg on the table as short as possible. It must lose no step, and the table should be quiet after the stop; the
 score is - duration / s - vibration / mm - 5 if steps were lost - 5 if not all pulses were made in {limit:g} s. Higher is better.
 Write {names} by write_register, then `attempt` makes the move; afterwards the table is put back to the start.
@@ -58,7 +58,7 @@ class TuningSession:
         log: Moves so far.
     """
 
-    def __init__(self, payload: float, distance: int = DISTANCE, budget: int = 64, model: str = MODEL):
+    def __init__(self, payload: float, distance: int = DISTANCE_PULSES, budget: int = 64, model: str = MODEL):
         self.distance, self.log = distance, MoveLog()
         self._stage, self._rng = Stage(model), np.random.default_rng(0)
         self._stage.set_payload(payload)
@@ -72,8 +72,9 @@ class TuningSession:
         )
         self.box = Toolbox(self._stage, "host", Budget(moves=budget), snapshots=False, more=[attempt])
         chip = self._axis.chip
-        self.task = TASK.format(
-            chip=chip.MAP.chip, pulses=distance, payload=payload, limit=LIMIT, names=", ".join(REGISTERS), clock=chip.clock_hz,
+        self.task = TASK_PROMPT.format(
+            chip=chip.MAP.chip, pulses=distance, payload=payload, limit=MAX_MOVE_TIME_S, names=", ".join(REGISTERS),
+            clock=chip.clock_hz,
             moves=budget,
         )  # fmt: skip
         self._return_to_start()
@@ -86,9 +87,9 @@ class TuningSession:
         port.write_command(chip_port.OUTPUT)
         port.write_control_mode(chip_port.PRESET)
         began = stage.time
-        port.write_command(chip_port.RAMP["FH1"])
+        port.write_command(chip_port.RAMP_START_COMMANDS["FH1"])
         try:
-            port.wait_until_stopped(LIMIT, chip_port.FAST_POLL_S)
+            port.wait_until_stopped(MAX_MOVE_TIME_S, chip_port.FAST_POLL_S)
         except RunTimeout:
             port.write_command(chip_port.RESET)
         duration, places = stage.time - began, []
@@ -97,7 +98,7 @@ class TuningSession:
             places.append(axis.position)
         lost, vibration, all_pulses_made = axis.lost_steps, float(np.ptp(places)), port.read_counter() == 0
         in_step = not lost and all_pulses_made and abs(axis.commanded - axis.position) <= MAX_OFFSET_M
-        reward = -duration - c.vibration_weight * min(vibration / TENTH_MM, 100.0)
+        reward = -duration - c.vibration_weight * min(vibration / DISPLACEMENT_SCALE_M, 100.0)
         reward -= 0.0 if all_pulses_made and in_step else c.lost_weight if all_pulses_made else c.limit_weight
         values = axis.chip.values()
         drawn = self.distance, stage.payload(), self._angle
@@ -163,7 +164,7 @@ def tune_by_coordinates(session: TuningSession, show: bool = False) -> None:
         queue.append(name)
 
 
-def search_by_technician(moves: MoveTuning, seed: int = 0) -> None:
+def search_by_scripted_agent(moves: MoveTuning, seed: int = 0) -> None:
     """Tune by the scripted agent, and store its moves in the log.
 
     Args:

@@ -19,10 +19,15 @@ from registerbench.benchmark_tasks import CARDS
 
 TABLES, EACH, ELITE = 24, 4, 6
 MACHINES = TABLES * EACH  # each table plays EACH machines
-FIRST = (0.2, 0.9, 0.1, -0.1)  # first constants of start, drive, up and down, all a little slower than the formula
+FIRST_CONSTANTS = (
+    0.2,
+    0.9,
+    0.1,
+    -0.1,
+)  # first constants of start, drive, up and down, all a little slower than the formula
 
 
-def name_features(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
+def map_features_by_name(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
     """Return the observation of one machine by name, as a tool returns it to a player.
 
     Args:
@@ -52,7 +57,7 @@ def compute_returns(envs: Any, task: str, weights: np.ndarray, seed: int) -> np.
     observation, _ = envs.reset(seed=seed)
     while True:
         actions = [
-            compute_action(w, compute_features(task, name_features(row, names)))
+            compute_action(w, compute_features(task, map_features_by_name(row, names)))
             for w, row in zip(weights, observation, strict=True)
         ]
         observation, rewards, terminated, truncated, _ = envs.step(np.array(actions, np.float32))
@@ -76,7 +81,7 @@ def train_weights(task: str, generations: int) -> np.ndarray:
     envs = gymnasium.make_vec(card.id, MACHINES, **vector, **card.settings, split="train", truth="info").unwrapped
     rng = np.random.default_rng(0)
     middle = np.zeros((4, len(FEATURES[task]) + 1))
-    middle[:, -1] = FIRST
+    middle[:, -1] = FIRST_CONSTANTS
     spread = np.full(middle.shape, 0.25)
     for g in range(generations):
         tables = rng.normal(middle, spread, (TABLES, *middle.shape))

@@ -4,7 +4,7 @@
     case.box.call("run")                                     runs the program on the machine from power-up
     case.box.call("answer", {"cause": "supply too low"})
     case.box.call("service", {"work": "set the supply of the drives to what is on the nameplate"})
-    case.score()                                             whether it is found and repaired, and at which cost
+    case.compute_score()                                     whether it is found and repaired, and at which cost
 
 broken_setups.py has ten named set-ups, setup_generation.py draws those of the suite from seeds, host_program.py has the language of
 the host's programs, machine_faults.py what breaks and repairs machines, acceptance_trial.py what a customer requires, and

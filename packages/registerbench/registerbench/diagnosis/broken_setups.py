@@ -64,7 +64,7 @@ class Setup:
         }
 
 
-MOVE_REGISTERS = """\
+MOVE_REGISTERS_PROGRAM = """\
 x: operate 08h          # reset command
 x: R0 <- 16000          # 50 mm
 x: R1 <- 340            # 1 kpps
@@ -89,9 +89,9 @@ x: operate 15h
 until x stopped 5
 wait 0.2
 """
-MOVE_OUT_AND_BACK = MOVE_REGISTERS + MOVE_OUT + MOVE_BACK
+MOVE_OUT_AND_BACK = MOVE_REGISTERS_PROGRAM + MOVE_OUT + MOVE_BACK
 FAST_TRIAL = AcceptanceTrial((0.05, 0.0), rate_pps=24_000, max_seconds=2.6)
-LONG_RAMP_REGISTERS = """\
+LONG_RAMP_PROGRAM = """\
 x: operate 08h
 x: R0 <- 16000          # 50 mm
 x: R1 <- 3
@@ -101,7 +101,7 @@ x: R5 <- 16000
 x: R6 <- 3400
 x: R7 <- 2              # steps of 300 pps
 """
-S_CURVE_DRIVE = """\
+S_CURVE_DRIVE_PROGRAM = """\
 x: {start}
 until x RR1.DSND 1 4
 until x RR1.DSND 0 4
@@ -147,7 +147,7 @@ wait 0.2
             "forgotten",
             ("R6 missing after reset",),
             "x shall move 50 mm and back. Since the chip was replaced by its successor it ends with a bang, and stands elsewhere.",
-            MOVE_REGISTERS + "x: operate 08h          # once more, to be sure\n" + MOVE_OUT + MOVE_BACK,
+            MOVE_REGISTERS_PROGRAM + "x: operate 08h          # once more, to be sure\n" + MOVE_OUT + MOVE_BACK,
             FAST_TRIAL,
             chips="pcl240mk",
             payload=2.0,
@@ -156,7 +156,7 @@ wait 0.2
             "wide",
             ("R4 wider than its register",),
             "x shall move 50 mm and back with a long, soft ramp up. It starts with a jerk, hums, and stays where it is.",
-            LONG_RAMP_REGISTERS + MOVE_OUT + MOVE_BACK.replace("R6 <- 3200", "R6 <- 3400"),
+            LONG_RAMP_PROGRAM + MOVE_OUT + MOVE_BACK.replace("R6 <- 3200", "R6 <- 3400"),
             replace(FAST_TRIAL, min_ramp_s=0.24, max_seconds=3.2),
             payload=2.0,
         ),
@@ -188,7 +188,7 @@ wait 0.2
             "late",
             ("ramp-down point too late",),
             "x shall move 50 mm with 2 kg on it, and back. It starts well, stops hard, and stands somewhere else.",
-            MOVE_REGISTERS.replace("R6 <- 3200", "R6 <- 320 ") + MOVE_OUT + MOVE_BACK,
+            MOVE_REGISTERS_PROGRAM.replace("R6 <- 3200", "R6 <- 320 ") + MOVE_OUT + MOVE_BACK,
             FAST_TRIAL,
             payload=2.0,
         ),
@@ -210,7 +210,7 @@ wait 0.2
             "reset",
             ("missing reset command",),
             "x shall move 25 mm twice, with a pause, and back. It makes the first move, and not the second.",
-            (MOVE_REGISTERS + MOVE_OUT).replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
+            (MOVE_REGISTERS_PROGRAM + MOVE_OUT).replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
             + "x: R0 <- 8000           # once more\nx: operate 15h\nuntil x stopped 5\nwait 0.2\n" + MOVE_BACK,
             replace(FAST_TRIAL, stops_m=(0.025, 0.05, 0.0), max_seconds=3.2),
         ),
@@ -239,7 +239,7 @@ x: AO <- 0
 x: WR2 0004h            # limits decelerate
 x: WR3 0004h            # S-curve
 x: P <- 40000           # 125 mm
-""" + S_CURVE_DRIVE.format(start="F_DRV_P") + S_CURVE_DRIVE.format(start="F_DRV_M"),
+""" + S_CURVE_DRIVE_PROGRAM.format(start="F_DRV_P") + S_CURVE_DRIVE_PROGRAM.format(start="F_DRV_M"),
             AcceptanceTrial((0.125, 0.0), rate_pps=27_700, max_seconds=5.4, starts_m=(0.02,), tolerance_m=1e-4),
             chips="mcx304",
         ),

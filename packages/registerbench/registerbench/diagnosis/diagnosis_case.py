@@ -7,7 +7,7 @@ from typing import Any
 
 from registerbench.diagnosis.acceptance_trial import TrialObserver
 from registerbench.diagnosis.broken_setups import CAUSES, SETUPS, Setup
-from registerbench.diagnosis.host_program import COMPLETED, ProgramHost, parse_program
+from registerbench.diagnosis.host_program import COMPLETED_TEXT, ProgramHost, parse_program
 from registerbench.diagnosis.machine_faults import SERVICES, FaultyMachine
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
@@ -18,7 +18,7 @@ MAX_RUNS, BUDGET_S = 20, 240.0
 NEEDLESS_SERVICE_COST, ACTION_COST, CALL_COST, SIMULATED_TIME_PER_ACTION_S = 0.25, 0.01, 0.001, 10.0
 """Costs as a share of the score of a repair: a service that repairs nothing; a run, a move, or that much time; any call."""
 
-TASK = """A customer has this machine: {complaint}
+TASK_PROMPT = """A customer has this machine: {complaint}
 What is wanted: {wanted}.
 Its host runs a program, which `program` shows. Find out what is wrong, if anything is, say it by `answer` (the first answer
 counts), and mend it: by `write_program`, if the program is wrong, by `service`, if the machine is. Customers err. A set-up has one
@@ -86,10 +86,10 @@ class Case:
         self._max_runs = runs
         self.box = Toolbox(self.stage, "host", Budget(seconds=BUDGET_S), snapshots=False, more=self._make_tools())
         self._host = ProgramHost(self.stage, self.box.get_driver)
-        self.task = TASK.format(complaint=self.setup.complaint, wanted=self.setup.trial, runs=runs)
+        self.task = TASK_PROMPT.format(complaint=self.setup.complaint, wanted=self.setup.trial, runs=runs)
         self._power_up()
 
-    def score(self) -> Score:
+    def compute_score(self) -> Score:
         """Return the agent's score. The acceptance trial runs even if the agent's budget is spent."""
         causes, named = set(self.setup.causes), set(self._answer)
         found = max((len(named & causes) - len(named - causes)) / len(causes), -1.0)
@@ -214,6 +214,6 @@ class Case:
         self._power_up(start)
         watch = TrialObserver(self.stage, self.setup.trial.max_seconds)
         ended = ProgramHost(self.stage, self.box.get_driver, watch.sample).run(lines)
-        if ended["ended"] != COMPLETED:
+        if ended["ended"] != COMPLETED_TEXT:
             return ended["ended"]
         return self.setup.trial.explain_failure(watch.samples, start, self.stage.axes["x"].meters_per_pulse)

@@ -24,13 +24,13 @@ from stage.agents.tool_arguments import choose, parse_integer
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware import Axis
 from stage.firmware.driver import Driver
-from stage.panel.register_text import BusCycle, parse_line
+from stage.panel.front_panel_content import BusCycle, parse_line
 
 MAX_LINES = 200
 MAX_LINE_CHARACTERS = 200
 FIRST_PORT, PORTS_PER_CHIP = 0x300, 4  # as on a PCL-240 card
 POLL_INTERVAL_S = 5e-4
-COMPLETED = "the program came to its end"
+COMPLETED_TEXT = "the program came to its end"
 SAMPLE_INTERVAL_S = 2e-3  # simulated time between two samples of an observer
 
 
@@ -69,7 +69,7 @@ class ProgramHost:
             lines: Lines of the program.
 
         Returns:
-            The values "ended" (COMPLETED, or the line and its error), "lines_done" and "time_s".
+            The values "ended" (COMPLETED_TEXT, or the line and its error), "lines_done" and "time_s".
 
         Raises:
             StageError: A line failed for another reason than a timeout.
@@ -86,7 +86,7 @@ class ProgramHost:
                     "time_s": round(self.stage.time, 9),
                 }
             done += 1
-        return {"ended": COMPLETED, "lines_done": done, "time_s": round(self.stage.time, 9)}
+        return {"ended": COMPLETED_TEXT, "lines_done": done, "time_s": round(self.stage.time, 9)}
 
     def set_base_port(self, axis: str, port: int) -> None:
         """Set the port at which the host expects the chip of an axis.

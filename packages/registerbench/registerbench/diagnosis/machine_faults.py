@@ -48,7 +48,7 @@ class FaultyMachine:
         stage.model.dof_frictionloss[:] = self._friction
         for name, axis in stage.axes.items():
             axis.faults.bus_voltage = self._volts[name] * faults.get("supply too low", 1.0)
-        self._healthy.apply(stage, _choose_standstill(faults))
+        self._healthy.apply(stage, _find_standstill_fault(faults))
         org = stage.state.switch_table[self._healthy.row]
         org["forced"] = int(faults["stuck ORG sensor"] >= 0.5) if "stuck ORG sensor" in faults else self._healthy.forced
         wires = [x.chip.find_switch_input(pin) for pin in LIMIT_PINS]
@@ -60,6 +60,6 @@ class FaultyMachine:
             drive.torque_constant, drive.slice = self._torque[x.index] * faults["slipping coupling"], 0.0
 
 
-def _choose_standstill(faults: Mapping[str, float]) -> str:
+def _find_standstill_fault(faults: Mapping[str, float]) -> str:
     """Return the fault of machine_faults.FAULTS with which the axis stands still; "none" if it has none of them."""
     return "jam" if "jammed guides" in faults else "phase open" if "broken motor wire" in faults else "none"

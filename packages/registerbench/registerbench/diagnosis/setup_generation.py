@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from registerbench.diagnosis.acceptance_trial import AcceptanceTrial
-from registerbench.diagnosis.broken_setups import NO_FAULT, S_CURVE_DRIVE, Setup
+from registerbench.diagnosis.broken_setups import NO_FAULT, S_CURVE_DRIVE_PROGRAM, Setup
 
 SECOND_FAULT_SHARE = 0.25  # of the broken set-ups
 MODELS = ("xy", "xyz", "xy_mast")
@@ -42,7 +42,7 @@ COMPLAINTS = (
     "It comes short, at any speed.",
     "It starts with a jerk.",
 )
-BELIEFS = (
+CUSTOMER_REMARKS = (
     "It did yesterday.",
     "It did with the board of before.",
     "Since the chip was replaced it does not.",
@@ -89,7 +89,7 @@ def generate_setup(seed: int) -> Setup:
     """
     rng = np.random.default_rng((RNG_STREAM, seed))
     job = _choose(rng, JOBS)(rng)
-    model, complaint, belief = (_choose(rng, words) for words in (MODELS, COMPLAINTS, BELIEFS))
+    model, complaint, belief = (_choose(rng, words) for words in (MODELS, COMPLAINTS, CUSTOMER_REMARKS))
     cause = _choose(rng, (NO_FAULT, *job.bugs, *job.faults))
     second = _choose(rng, [fault for fault in job.faults if fault != cause])
     has_second = rng.uniform() < SECOND_FAULT_SHARE and cause != NO_FAULT
@@ -120,7 +120,7 @@ def _choose(rng: np.random.Generator, values: Sequence[Any]) -> Any:
     return values[int(rng.integers(len(values)))]
 
 
-def _write_register(rng: np.random.Generator, line: str, value: int) -> str:
+def _format_register_line(rng: np.random.Generator, line: str, value: int) -> str:
     """Return the program line that writes R4 or R5, by name or by bytes as the host's author liked it."""
     raw = f"x: {0x80 + int(line[1]):02X} 2: {value >> 8:02X} 1: {value & 0xFF:02X}"
     return f"{raw:24}# {line}\n" if value >= R4_LIMIT or rng.uniform() < 0.5 else f"x: {line} <- {value}\n"
@@ -144,7 +144,7 @@ def draw_moves_job(rng: np.random.Generator) -> Job:
     chips = _choose(rng, ("pcl240k", "pcl240mk", WIDE_RAMP_CHIP))
     r6_line = f"x: R6 <- {ramp_down}\n"
     rates = f"x: R1 <- {start * counts}\nx: R2 <- {top * counts}\n"
-    ramps = _write_register(rng, "R4", r4) + _write_register(rng, "R5", r4)
+    ramps = _format_register_line(rng, "R4", r4) + _format_register_line(rng, "R5", r4)
 
     def write_program(
         ramps: str = ramps, r6: str = r6_line, reset: str = "x: operate 08h\n", after_r6: str = ""
@@ -158,7 +158,7 @@ def draw_moves_job(rng: np.random.Generator) -> Job:
         return text
 
     program, keeps_r6 = write_program(), chips != "pcl240mk"
-    wide = _write_register(rng, "R4", R4_LIMIT + int(rng.integers(2, 6) * (1 if multiplier == FINE[0] else 60)))
+    wide = _format_register_line(rng, "R4", R4_LIMIT + int(rng.integers(2, 6) * (1 if multiplier == FINE[0] else 60)))
     bugs = {
         "R6 missing after reset": write_program(r6="") if keeps_r6 else write_program(after_r6="x: operate 08h\n"),
         "ramp-down point too late": write_program(r6=f"x: R6 <- {round(ramp_down * rng.uniform(0.03, 0.12))}\n"),
@@ -212,7 +212,7 @@ def draw_limits_job(rng: np.random.Generator) -> Job:
     ramp_s = float(rng.uniform(0.16, 0.24))
     r4 = round(ramp_s * RAMP_CLOCK_HZ / (FINE[1] * (top - start)))
     travel_s = 0.3 * PULSES_PER_MM * 1e3 / (top * RATE_STEP_PPS)
-    ramps = _write_register(rng, "R4", r4) + _write_register(rng, "R5", r4)
+    ramps = _format_register_line(rng, "R4", r4) + _format_register_line(rng, "R5", r4)
     rates = f"x: R1 <- {start * FINE[1]}\nx: R2 <- {top * FINE[1]}\n"
     first, then = ("40h", "48h") if side > 0 else ("48h", "40h")
     chips = _choose(rng, ("pcl240k", WIDE_RAMP_CHIP))
@@ -226,7 +226,7 @@ def draw_limits_job(rng: np.random.Generator) -> Job:
         return f"base x 300h\nx: operate 08h\n{rates}{ramps}x: R7 <- {FINE[0]}\n{moves[0]}{reset}{moves[1]}"
 
     program = write_program()
-    wide = _write_register(rng, "R4", R4_LIMIT + int(rng.integers(2, 6)))
+    wide = _format_register_line(rng, "R4", R4_LIMIT + int(rng.integers(2, 6)))
     bugs = {"missing reset command": write_program(reset="")}
     if chips != WIDE_RAMP_CHIP:
         bugs["R4 wider than its register"] = write_program(ramps=wide + ramps.partition("\n")[2])
@@ -268,7 +268,7 @@ x: P <- {distance}
         return head + "".join(drive.format(start=s) for s in ("F_DRV_P", "F_DRV_M")[::side])
 
     program = write_program(drive)
-    bugs = {"S-curve failure of the MCX304": write_program(S_CURVE_DRIVE)}
+    bugs = {"S-curve failure of the MCX304": write_program(S_CURVE_DRIVE_PROGRAM)}
     trial = AcceptanceTrial(
         (distance / PULSES_PER_MM / 1e3 * side, 0.0), rate_pps=round(_compute_s_curve_peak_pps(distance)), max_seconds=5.4,
         tolerance_m=1e-4,

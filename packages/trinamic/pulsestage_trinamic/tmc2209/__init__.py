@@ -100,13 +100,13 @@ class TMC2209(StepDirAxisWithRegisters):
         Datagrams of one kind have one message.
         """
         diagnostics = super().diagnostics
-        for clock, finding in lint.find_mistakes(self.state, self.uart.address):
+        for clock, finding in lint.find_uart_findings(self.state, self.uart.address):
             self.diagnose(clock, maps.UART_BYTE, 0, [finding])
         return diagnostics
 
     def find_cause_of(self, diagnostic: Diagnostic) -> Cause:
-        if diagnostic.key in lint.KINDS:
-            return Cause("datagram", int(self.state["mistakes"][lint.KINDS[diagnostic.key]]))
+        if diagnostic.key in lint.IGNORED_KIND_BY_RULE:
+            return Cause("datagram", int(self.state["mistakes"][lint.IGNORED_KIND_BY_RULE[diagnostic.key]]))
         if diagnostic.address in (maps.UART_BYTE, maps.UART_OTHER):
             return Cause("setting", 1)
         return super().find_cause_of(diagnostic)

@@ -35,11 +35,11 @@ def _process_chip_event(c):
     elif c.next_step <= c.clock:
         power_stage.make_internal_step(c)
     else:
-        power_stage.process_timers(c)
+        power_stage.process_standstill_timers(c)
 
 
 @hot
-def _follow_lines(c, before):
+def _process_step_edges(c, before):
     """Let the TMC2209 make the steps at STEP, with DEDGE also at a falling edge.
 
     `before` is the word of levels before the change.
@@ -59,8 +59,8 @@ def compute_drive_input(c, axis_index, net_before, clocks):
 def power_up(c):
     """Clear registers, step timer and TMC2209 of an axis; lines and switches stay as the host and the stage drive them."""
     step_timer.clear(c)
-    register_file.clear(c)
-    uart.clear(c)
+    register_file.reset_registers(c)
+    uart.reset_uart(c)
 
 
 @exported("i8", STATE, "i8")
@@ -69,7 +69,7 @@ def peek(c, address):
     if address >= maps.REGISTER_BASE:
         return register_file.read_register(c, address - maps.REGISTER_BASE)
     if address == maps.UART_BYTE:
-        return c.to_host[c.collected % state.QUEUE] if c.collected < c.sent else maps.NO_BYTE
+        return c.to_host[c.collected % state.UART_QUEUE_BYTES] if c.collected < c.sent else maps.NO_BYTE
     if address == maps.UART_BIT_NS:
         return c.bit_ns
     return step_timer.read_register(c, address) if address < len(c.reg) else 0
@@ -98,7 +98,7 @@ def write(c, address, value):
     elif address < len(c.reg):
         before = c.inputs
         step_timer.write_register(c, address, value)
-        _follow_lines(c, before)
+        _process_step_edges(c, before)
 
 
 @exported("i8", STATE, "i8")
@@ -112,15 +112,15 @@ def get_register_value(c, address):
 @exported("i8", STATE)
 def get_step_places(c):
     """Return by how many 1/256 full steps one step turns the motor's field."""
-    return 1 << power_stage.read_step_shift(c)
+    return 1 << power_stage.get_step_shift(c)
 
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, axis_index, word):
     """Set the levels of the input pins, except DIAG and INDEX, which the chip itself drives."""
-    before, word = c.inputs, word & ~state.ANSWERED
+    before, word = c.inputs, word & ~state.CHIP_DRIVEN_PINS
     apply_line_levels(c, word)
-    _follow_lines(c, before)
+    _process_step_edges(c, before)
     step_timer.stop_at_switches(c, word & ~before)
     if (word ^ before) & ~STEP:
         if (word ^ before) & state.PDN:
@@ -143,7 +143,7 @@ def read_net_count(c, axis_index):
 @exported("f8", STATE, "i8", "f8")
 def read_pulse_rate(c, axis_index, clock_hz):
     """Return the rate at which the count changes now, per second of a clock of `clock_hz`."""
-    per_step = float(1 << power_stage.read_step_shift(c)) / c.unit
+    per_step = float(1 << power_stage.get_step_shift(c)) / c.unit
     if c.registers[state.GCONF] & state.SHAFT:
         per_step = -per_step
     value = c.registers[state.VACTUAL]
@@ -192,7 +192,7 @@ run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_po
     sys.modules[__name__],
     _find_next_chip_event,
     _process_chip_event,
-    _follow_lines,
+    _process_step_edges,
     motor_field.count_moves,
     _get_direction,
     state.DIAG,

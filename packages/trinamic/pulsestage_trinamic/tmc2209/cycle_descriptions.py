@@ -33,7 +33,7 @@ def describe_register(number: int, value: int, is_write: bool) -> str:
 def describe_write(address: int, value: int) -> str:
     """Describe a write cycle."""
     if address >= maps.REGISTER_BASE:
-        return describe_register(address - maps.REGISTER_BASE, value & maps.M32, True)
+        return describe_register(address - maps.REGISTER_BASE, value & maps.MASK_32_BITS, True)
     if address == maps.UART_BYTE:
         return f"UART <- {value & 0xFF:02X}h"
     if address == maps.UART_BIT_NS:

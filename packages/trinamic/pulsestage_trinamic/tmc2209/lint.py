@@ -23,7 +23,7 @@ def _make_uart_rule(name: str, section: str) -> Rule:
     return Rule(f"tmc2209-uart-{name}", f"section {section}", once=True)
 
 
-UART_MISTAKES = {
+UART_RULES = {
     state.BAD_RATE: (_make_uart_rule("rate", "4.3"), "the chip does not understand a bit time of {} ns"),
     state.BAD_SYNC: (
         _make_uart_rule("sync", "4.1"),
@@ -34,10 +34,12 @@ UART_MISTAKES = {
     state.READ_ONLY: (_make_uart_rule("read-only", "5"), "a write by UART to {:02X}h, which can only be read"),
 }
 """Rules that datagrams break, and messages about them."""
-ADDRESS = _make_uart_rule("address", "4.1")
-KINDS = {rule.key: kind for kind, (rule, _) in UART_MISTAKES.items()} | {ADDRESS.key: state.OTHER_ADDRESS}
+OTHER_ADDRESS_RULE = _make_uart_rule("address", "4.1")
+IGNORED_KIND_BY_RULE = {rule.key: kind for kind, (rule, _) in UART_RULES.items()} | {
+    OTHER_ADDRESS_RULE.key: state.OTHER_ADDRESS
+}
 """Kinds of datagrams that do nothing, by the keys of their rules."""
-NAMES = {r.number: r.name for r in maps.DRIVER_REGISTERS}
+REGISTER_NAMES = {r.number: r.name for r in maps.DRIVER_REGISTERS}
 MICROSTEPS_OF_ADDRESS = (8, 32, 64, 16)
 PDN_ENABLED = Rule("tmc2209-pdn-disable", "section 4.1", once=True)
 NO_STALL_OUTPUT = Rule("tmc2209-no-stall-output", "section 11", once=True)
@@ -73,7 +75,7 @@ def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
         yield NO_REGISTER, f"there is no register at {number:02X}h"
 
 
-def find_mistakes(c: Any, address: int) -> Iterator[tuple[int, Finding]]:
+def find_uart_findings(c: Any, address: int) -> Iterator[tuple[int, Finding]]:
     """Yield clock, rule and message of what a host has done wrong so far, as the state shows it.
 
     Args:
@@ -81,7 +83,7 @@ def find_mistakes(c: Any, address: int) -> Iterator[tuple[int, Finding]]:
         address: UART address of the chip.
     """
     clock, gconf = int(c["clock"]), int(c["registers"][state.GCONF])
-    for kind, (rule, text) in UART_MISTAKES.items():
+    for kind, (rule, text) in UART_RULES.items():
         if c["mistakes"][kind]:
             detail = int(c["mistake_detail"][kind])
             values = {state.BAD_SYNC: _describe_byte, state.BAD_CRC: _describe_access}
@@ -93,7 +95,7 @@ def find_mistakes(c: Any, address: int) -> Iterator[tuple[int, Finding]]:
             f"datagrams came for address {other}, and none for that of this chip, {address} (MS1 + 2 MS2): give the program "
             f"address {address}{cure}"
         )
-        yield int(c["mistake_clock"][state.OTHER_ADDRESS]), (ADDRESS, message)
+        yield int(c["mistake_clock"][state.OTHER_ADDRESS]), (OTHER_ADDRESS_RULE, message)
     if c["datagrams"] and not gconf & state.PDN_DISABLE:
         yield clock, (PDN_ENABLED, "with the UART in use the current does not fall to IHOLD: set GCONF.pdn_disable")
     if int(c["registers"][state.CHOPCONF]) & MRES and not gconf & state.MSTEP_REG_SELECT:
@@ -113,7 +115,7 @@ def _describe_byte(byte: int) -> str:
 def _describe_access(register: int) -> str:
     """Return what a datagram does with a register, whose number has the bit of a write."""
     number = register & 0x7F
-    name = NAMES.get(number, "no register")
+    name = REGISTER_NAMES.get(number, "no register")
     return f"{'writes' if register & WRITE_BIT else 'reads'} {number:02X}h ({name})"
 
 

@@ -19,7 +19,7 @@ NO_BYTE = 0x100
 REGISTER_BASE = 0x80
 """Bus address of register 0."""
 REGISTERS, ADDRESSES = 0x80, 0x100
-M32 = (1 << 32) - 1
+MASK_32_BITS = (1 << 32) - 1
 
 
 def _make_fields(*definitions: tuple) -> tuple[Field, ...]:
@@ -94,7 +94,7 @@ _OTP_READ = _make_fields(
     ("22..21", "otp_ihold", "IHOLD, 0: 16"), (23, "otp_en_spreadcycle", "SpreadCycle; bits 16..8 are then CHOPCONF 8..0"),
 )  # fmt: skip
 
-OTP_RESET = "after a reset as a blank OTP sets it, and as chips are read (C); the register table prints {}"
+OTP_RESET_EVIDENCE = "after a reset as a blank OTP sets it, and as chips are read (C); the register table prints {}"
 
 DRIVER_REGISTERS = (
     _make_register(0x00, "GCONF", "RW", 10, "global configuration", _GCONF, reset=0x101),
@@ -118,9 +118,10 @@ DRIVER_REGISTERS = (
     _make_register(0x6B, "MSCURACT", "R", 25, "microstep currents",
        _make_fields(("8..0", "cur_a", "phase A, signed", "?"), ("24..16", "cur_b", "phase B, signed", "?")),
        note="revision 1.03 and the vendor's header put phase A in the low bits, revision 1.09 phase B"),
-    _make_register(0x6C, "CHOPCONF", "RW", 32, "chopper", _CHOPCONF, reset=0x10010053, note=OTP_RESET.format("10000053h")),
+    _make_register(0x6C, "CHOPCONF", "RW", 32, "chopper", _CHOPCONF, reset=0x10010053, note=OTP_RESET_EVIDENCE.format("10000053h")),
     _make_register(0x6F, "DRV_STATUS", "R", 32, "driver status", _DRV_STATUS),
-    _make_register(0x70, "PWMCONF", "RW", 32, "StealthChop", _PWMCONF, reset=0xC80D0E24, note=OTP_RESET.format("C10D0024h")),
+    _make_register(0x70, "PWMCONF", "RW", 32, "StealthChop", _PWMCONF, reset=0xC80D0E24,
+    note=OTP_RESET_EVIDENCE.format("C10D0024h")),
     _make_register(0x71, "PWM_SCALE", "R", 25, "StealthChop amplitude",
        _make_fields(("7..0", "pwm_scale_sum", "duty cycle / 256"), ("24..16", "pwm_scale_auto", "correction, signed"))),
     _make_register(0x72, "PWM_AUTO", "R", 24, "StealthChop automatic values",
@@ -138,7 +139,7 @@ MAP = RegisterMap(
 )
 """Register map of the axis: the step timer, and the registers of the chip from REGISTER_BASE on."""
 
-NUMBER = {r.name: r.number for r in DRIVER_REGISTERS}
+REGISTER_NUMBERS = {r.name: r.number for r in DRIVER_REGISTERS}
 READABLE_REGISTERS = {r.number: r for r in DRIVER_REGISTERS if "R" in r.access}
 WRITABLE_REGISTERS = {r.number: r for r in DRIVER_REGISTERS if "W" in r.access}
 IS_READABLE = tuple(int(number in READABLE_REGISTERS) for number in range(REGISTERS))

@@ -15,7 +15,7 @@ FULL_SCALE_V, SENSITIVE_FULL_SCALE_V = 0.325, 0.180
 INTERNAL_OHM = 0.02
 STANDSTILL_CLOCKS = 1 << 20
 DELAY_CLOCKS = 1 << 18
-FULL_RESULT = 510
+UNLOADED_SG_RESULT = 510
 """SG_RESULT of a motor without load whose back EMF is the whole voltage, see tmc2209_sheet.md."""
 
 
@@ -26,7 +26,7 @@ def to_axis_clocks(c, chip_clocks):
 
 
 @hot
-def read_step_shift(c):
+def get_step_shift(c):
     """Return MRES of the TMC2209: a step is 2^MRES of 1/256 full step."""
     if c.registers[state.GCONF] & state.MSTEP_REG_SELECT:
         return least(8, c.registers[state.CHOPCONF] >> 24 & 15)
@@ -105,7 +105,7 @@ def find_next_timer_clock(c):
 
 
 @hot
-def process_timers(c):
+def process_standstill_timers(c):
     """Process the TMC2209's standstill timers that end at this clock."""
     standstill = compute_standstill_clock(c)
     if c.clock >= standstill and (c.period or c.stall or c.sg):
@@ -133,7 +133,7 @@ def compute_tstep(c):
     if c.period == 0 or c.clock >= compute_standstill_clock(c):
         return state.MAX_TSTEP
     per_step = greatest(c.period, c.clock - c.stepped) * c.f_clk // c.hz
-    return least(state.MAX_TSTEP, per_step >> read_step_shift(c))
+    return least(state.MAX_TSTEP, per_step >> get_step_shift(c))
 
 
 @hot
@@ -176,7 +176,7 @@ def is_cool_step_active(c):
 
 
 @hot
-def compute_result(c):
+def compute_sg_result(c):
     """Return SG_RESULT, the load value of StallGuard4, for the mean load of the present full step.
 
     The share of the back EMF in the voltage of the winding, e / (e + I R), rises with speed and falls with current; the load
@@ -186,7 +186,7 @@ def compute_result(c):
     emf = c.emf / 1024.0
     volts = emf + compute_current_amplitude(c) * c.ir_share
     share = emf / volts if volts > 0.0 else 1.0
-    return int(FULL_RESULT * share * (1024 - c.lam) / 1024.0) & ~1
+    return int(UNLOADED_SG_RESULT * share * (1024 - c.lam) / 1024.0) & ~1
 
 
 @hot
@@ -195,7 +195,7 @@ def measure_load(c):
     c.full += 1
     if not is_measuring(c):
         return
-    c.sg = compute_result(c)
+    c.sg = compute_sg_result(c)
     c.stall = 1 if c.sg <= 2 * c.registers[state.SGTHRS] and is_stall_output_enabled(c) else 0
     if c.cooling:
         cool_step.adapt_current(
@@ -231,7 +231,7 @@ def follow_steps(c):
         return
     c.followed = c.net
     if c.registers[state.VACTUAL] == 0:
-        places = steps << read_step_shift(c)
+        places = steps << get_step_shift(c)
         move_field(c, -places if c.registers[state.GCONF] & state.SHAFT else places)
 
 
@@ -260,7 +260,7 @@ def _schedule_internal_step(c, value):
 def make_internal_step(c):
     """Make the step that is due at the velocity VACTUAL, which the chip makes without STEP and DIR."""
     value = c.registers[state.VACTUAL]
-    places = 1 << read_step_shift(c)
+    places = 1 << get_step_shift(c)
     c.toggle ^= 1
     minus = (value >= 1 << 23) != ((c.registers[state.GCONF] & state.SHAFT) != 0)
     move_field(c, -places if minus else places)

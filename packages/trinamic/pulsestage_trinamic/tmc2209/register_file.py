@@ -9,11 +9,11 @@ from stage.chips.stepdir.state import DIR, ENABLE, STEP
 from stage.native import hot, least
 
 VERSION = 0x21 << 24
-FULL_DUTY = 255
+MAX_PWM_SCALE = 255
 
 
 @hot
-def clear(c):
+def reset_registers(c):
     """Set the registers of the TMC2209 to the power-up values of the data sheet.
 
     Pins, the field's position and board parts stay.
@@ -44,7 +44,7 @@ def compute_index_pin(c):
         return c.toggle
     if c.registers[state.GCONF] & state.INDEX_OTPW:
         return c.inputs & state.OTPW
-    return c.mscnt < 1 << power_stage.read_step_shift(c)
+    return c.mscnt < 1 << power_stage.get_step_shift(c)
 
 
 @hot
@@ -79,7 +79,7 @@ def _compute_pwm_scale(c):
     if not power_stage.is_measuring(c):
         return 0
     share = power_stage.compute_current_amplitude(c) * c.ir_share + (c.emf / 1024.0 if c.period else 0.0)
-    return int(FULL_DUTY * least(1.0, share))
+    return int(MAX_PWM_SCALE * least(1.0, share))
 
 
 @hot

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pulsestage_trinamic import motor_field
-from pulsestage_trinamic.tmc2209.maps import MAP, NUMBER, REGISTERS
+from pulsestage_trinamic.tmc2209.maps import MAP, REGISTER_NUMBERS, REGISTERS
 from stage.chips.stepdir import state as lines
 from stage.native import record
 
 NEVER = lines.NEVER
-QUEUE = 64
+UART_QUEUE_BYTES = 64
 """Largest number of bytes on the way to the chip, and of bytes that the chip has sent and the host has not read."""
-DATAGRAM = 8
-MISTAKES = 6
-BAD_RATE, BAD_SYNC, BAD_CRC, OTHER_ADDRESS, NO_REGISTER, READ_ONLY = range(MISTAKES)
+MAX_DATAGRAM_BYTES = 8
+IGNORED_KIND_COUNT = 6
+BAD_RATE, BAD_SYNC, BAD_CRC, OTHER_ADDRESS, NO_REGISTER, READ_ONLY = range(IGNORED_KIND_COUNT)
 """Kinds of datagrams of the host that do nothing, for diagnostics."""
 MAX_TSTEP = 0xFFFFF
 
@@ -25,7 +25,7 @@ STATE = record(
         ("vref", "f8"),  # share of 2.5 V at VREF
         ("ir_share", "f8"),  # voltage of one ampere in a winding, as a share of the supply
         # sequencer: places of the field are in 1/256 full steps
-        *motor_field.FIELDS,
+        *motor_field.STATE_FIELDS,
         ("followed", "i8"),  # `net` up to which the field has followed the steps
         ("mscnt", "i8"),
         ("stepped", "i8"),  # clock of the last step of the field
@@ -59,50 +59,50 @@ STATE = record(
         ("registers", "i8", (REGISTERS,)),
         # UART
         ("bit_ns", "i8"),  # time of a bit of the host
-        ("to_chip", "i8", (QUEUE,)),  # bytes of the host
+        ("to_chip", "i8", (UART_QUEUE_BYTES,)),  # bytes of the host
         ("queued", "i8"),  # how many
         ("delivered", "i8"),  # how many of them have arrived
         ("arrives", "i8"),  # clock of the end of the next byte, or NEVER
-        ("datagram", "i8", (DATAGRAM,)),
+        ("datagram", "i8", (MAX_DATAGRAM_BYTES,)),
         ("received", "i8"),  # bytes of the present datagram
         ("byte_begin", "i8"),  # clock of the start bit of the last byte
         ("byte_end", "i8"),  # clock of its stop bit
         ("lost_sync", "i8"),  # waits for an idle line
-        ("reply", "i8", (DATAGRAM,)),
-        ("replied", "i8"),  # bytes of the reply that are sent; DATAGRAM: no reply is on its way
+        ("reply", "i8", (MAX_DATAGRAM_BYTES,)),
+        ("replied", "i8"),  # bytes of the reply that are sent; MAX_DATAGRAM_BYTES: no reply is on its way
         ("replies", "i8"),  # clock of the end of the next byte of the reply, or NEVER
-        ("to_host", "i8", (QUEUE,)),  # bytes of the chip
+        ("to_host", "i8", (UART_QUEUE_BYTES,)),  # bytes of the chip
         ("sent", "i8"),  # how many
         ("collected", "i8"),  # how many of them the host has read
         ("datagrams", "i8"),  # datagrams of the host for this chip
         ("others", "i8"),  # bytes of other chips on the wire
-        ("mistakes", "i8", (MISTAKES,)),  # number of each kind since power-up, see BAD_RATE
-        ("mistake_clock", "i8", (MISTAKES,)),  # clock of the first of each kind
-        ("mistake_detail", "i8", (MISTAKES,)),  # its byte, address or register
+        ("mistakes", "i8", (IGNORED_KIND_COUNT,)),  # number of each kind since power-up, see BAD_RATE
+        ("mistake_clock", "i8", (IGNORED_KIND_COUNT,)),  # clock of the first of each kind
+        ("mistake_detail", "i8", (IGNORED_KIND_COUNT,)),  # its byte, address or register
     ]
 )
 """State of one STEP/DIR axis with a TMC2209."""
 
-_further = (
+_CHIP_PINS = (
     "ms1", "ms2", "pdn", "spread", "otpw", "ot", "s2ga", "s2gb", "s2vsa", "s2vsb", "ola", "olb", "uv_cp", "diag", "index",
 )  # fmt: skip
-INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_further)}}
+INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_CHIP_PINS)}}
 """Pins of the lines, and those of the chip. The last two are its outputs, which the host reads as it reads the switches."""
 MS1, MS2, PDN, SPREAD, OTPW, OT, S2GA, S2GB, S2VSA, S2VSB, OLA, OLB, UV_CP, DIAG, INDEX = (
-    INPUTS[name] for name in _further
+    INPUTS[name] for name in _CHIP_PINS
 )
-ANSWERED = DIAG | INDEX
+CHIP_DRIVEN_PINS = DIAG | INDEX
 SHORT_G, SHORT_VS = S2GA | S2GB, S2VSA | S2VSB
 OUTPUTS = lines.OUTPUTS
 
 GCONF, GSTAT, IFCNT, SLAVECONF, IOIN, IHOLD_IRUN, TPOWERDOWN, TSTEP, TPWMTHRS, TCOOLTHRS, VACTUAL = (
-    NUMBER[name]
+    REGISTER_NUMBERS[name]
     for name in (
         "GCONF", "GSTAT", "IFCNT", "SLAVECONF", "IOIN", "IHOLD_IRUN", "TPOWERDOWN", "TSTEP", "TPWMTHRS", "TCOOLTHRS", "VACTUAL",
     )
 )  # fmt: skip
 SGTHRS, SG_RESULT, COOLCONF, MSCNT, MSCURACT, CHOPCONF, DRV_STATUS, PWMCONF, PWM_SCALE, PWM_AUTO = (
-    NUMBER[name]
+    REGISTER_NUMBERS[name]
     for name in (
         "SGTHRS", "SG_RESULT", "COOLCONF", "MSCNT", "MSCURACT", "CHOPCONF", "DRV_STATUS", "PWMCONF", "PWM_SCALE", "PWM_AUTO",
     )

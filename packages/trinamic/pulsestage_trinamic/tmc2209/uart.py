@@ -37,24 +37,24 @@ def compute_bit_clocks(c):
 
 
 @hot
-def clear(c):
+def reset_uart(c):
     """Clear the TMC2209's side of the UART line. Bytes of the host that are on their way stay."""
     c.received = c.lost_sync = 0
     c.byte_begin = c.byte_end = -state.NEVER
-    c.replied, c.replies = state.DATAGRAM, state.NEVER
+    c.replied, c.replies = state.MAX_DATAGRAM_BYTES, state.NEVER
     c.datagrams = c.others = 0
-    for kind in range(state.MISTAKES):
+    for kind in range(state.IGNORED_KIND_COUNT):
         c.mistakes[kind] = 0
 
 
 @hot
 def send_to_chip(c, byte):
     """Let the host send a byte, after those that it has sent before. A byte beyond QUEUE is lost."""
-    if c.queued - c.delivered >= state.QUEUE:
+    if c.queued - c.delivered >= state.UART_QUEUE_BYTES:
         return
     if c.queued == c.delivered:
         c.arrives = greatest(c.clock, c.byte_end) + BYTE_BITS * compute_bit_clocks(c)
-    c.to_chip[c.queued % state.QUEUE] = byte & 0xFF
+    c.to_chip[c.queued % state.UART_QUEUE_BYTES] = byte & 0xFF
     c.queued += 1
 
 
@@ -64,7 +64,7 @@ def take_byte(c):
     if c.collected == c.sent:
         return -1
     c.collected += 1
-    return c.to_host[(c.collected - 1) % state.QUEUE]
+    return c.to_host[(c.collected - 1) % state.UART_QUEUE_BYTES]
 
 
 @hot
@@ -77,7 +77,7 @@ def find_next_event(c):
 def process_event(c):
     """Process the byte that the UART has received, or send the next byte of a reply, at this clock."""
     if c.clock >= c.arrives:
-        byte = c.to_chip[c.delivered % state.QUEUE]
+        byte = c.to_chip[c.delivered % state.UART_QUEUE_BYTES]
         c.delivered += 1
         receive_byte(c, byte, True)
         c.arrives = c.clock + BYTE_BITS * compute_bit_clocks(c) if c.queued > c.delivered else state.NEVER
@@ -91,7 +91,7 @@ def _is_rate_understood(c, bits):
 
 
 @hot
-def _note_mistake(c, kind, detail):
+def _count_ignored_datagram(c, kind, detail):
     """Count a datagram or byte on the UART line that has no effect."""
     if c.mistakes[kind] == 0:
         c.mistake_clock[kind], c.mistake_detail[kind] = c.clock, detail
@@ -120,14 +120,14 @@ def receive_byte(c, byte, is_of_host):
     if not is_of_host:
         c.others += 1
     if not _is_rate_understood(c, bits):
-        _note_mistake(c, state.BAD_RATE, c.bit_ns)
+        _count_ignored_datagram(c, state.BAD_RATE, c.bit_ns)
         return
-    if c.lost_sync or c.replied < state.DATAGRAM:
+    if c.lost_sync or c.replied < state.MAX_DATAGRAM_BYTES:
         return
     if c.received == 0 and byte & 0xF != SYNC:
         c.lost_sync = 1
         if is_of_host:
-            _note_mistake(c, state.BAD_SYNC, byte)
+            _count_ignored_datagram(c, state.BAD_SYNC, byte)
         return
     c.datagram[c.received] = byte
     c.received += 1
@@ -136,11 +136,11 @@ def receive_byte(c, byte, is_of_host):
     size = WRITE_SIZE if c.datagram[2] & WRITE_BIT else READ_SIZE
     if c.received == size:
         c.received = 0
-        _execute(c, size, bits, is_of_host)
+        _execute_datagram(c, size, bits, is_of_host)
 
 
 @hot
-def _execute(c, size, bits, is_of_host):
+def _execute_datagram(c, size, bits, is_of_host):
     """Execute a whole UART datagram, if its CRC is right and it is for this TMC2209."""
     crc = 0
     for k in range(size - 1):
@@ -148,12 +148,12 @@ def _execute(c, size, bits, is_of_host):
     if crc != c.datagram[size - 1]:
         c.lost_sync = 1
         if is_of_host:
-            _note_mistake(c, state.BAD_CRC, c.datagram[2])
+            _count_ignored_datagram(c, state.BAD_CRC, c.datagram[2])
         return
     address = (1 if c.inputs & state.MS1 else 0) | (2 if c.inputs & state.MS2 else 0)
     if c.datagram[1] != address:
         if is_of_host:
-            _note_mistake(c, state.OTHER_ADDRESS, c.datagram[1])
+            _count_ignored_datagram(c, state.OTHER_ADDRESS, c.datagram[1])
         return
     c.datagrams += 1
     register = c.datagram[2] & 0x7F
@@ -161,7 +161,7 @@ def _execute(c, size, bits, is_of_host):
         value = c.datagram[3] << 24 | c.datagram[4] << 16 | c.datagram[5] << 8 | c.datagram[6]
         c.ifcnt = c.ifcnt + 1 & 0xFF
         if maps.STORED_BITS[register] == 0:
-            _note_mistake(c, state.READ_ONLY if maps.IS_READABLE[register] else state.NO_REGISTER, register)
+            _count_ignored_datagram(c, state.READ_ONLY if maps.IS_READABLE[register] else state.NO_REGISTER, register)
         register_file.write_register(c, register, value)
         return
     _prepare_reply(c, register, register_file.read_register(c, register))
@@ -176,18 +176,18 @@ def _prepare_reply(c, register, value):
     crc = 0
     for k in range(4):
         c.reply[3 + k] = value >> 8 * (3 - k) & 0xFF
-    for k in range(state.DATAGRAM - 1):
+    for k in range(state.MAX_DATAGRAM_BYTES - 1):
         crc = add_to_crc(crc, c.reply[k])
-    c.reply[state.DATAGRAM - 1] = crc
+    c.reply[state.MAX_DATAGRAM_BYTES - 1] = crc
 
 
 @hot
 def _send_reply_byte(c):
     """Send the byte of the reply whose stop bit ends now; the oldest unread byte is lost when the host reads none."""
-    if c.sent - c.collected >= state.QUEUE:
+    if c.sent - c.collected >= state.UART_QUEUE_BYTES:
         c.collected += 1
-    c.to_host[c.sent % state.QUEUE] = c.reply[c.replied]
+    c.to_host[c.sent % state.UART_QUEUE_BYTES] = c.reply[c.replied]
     c.sent += 1
     c.replied += 1
     c.byte_end = c.clock
-    c.replies = c.clock + BYTE_BITS * compute_bit_clocks(c) if c.replied < state.DATAGRAM else state.NEVER
+    c.replies = c.clock + BYTE_BITS * compute_bit_clocks(c) if c.replied < state.MAX_DATAGRAM_BYTES else state.NEVER

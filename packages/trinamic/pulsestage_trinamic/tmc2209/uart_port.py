@@ -39,9 +39,9 @@ def build_read(address: int, register: int) -> bytes:
 
 def build_write(address: int, register: int, value: int) -> bytes:
     """Build the datagram that writes a register of the chip with an address, 0 to 3."""
-    content = bytes((uart.SYNC, address & 0xFF, register & 0x7F | uart.WRITE_BIT)) + (value & maps.M32).to_bytes(
-        4, "big"
-    )
+    content = bytes((uart.SYNC, address & 0xFF, register & 0x7F | uart.WRITE_BIT)) + (
+        value & maps.MASK_32_BITS
+    ).to_bytes(4, "big")
     return content + bytes((compute_crc(content),))
 
 
@@ -101,12 +101,12 @@ class UartPort:
     @property
     def room(self) -> int:
         """Number of bytes that `write` accepts now."""
-        return state.QUEUE - self.pending
+        return state.UART_QUEUE_BYTES - self.pending
 
     @property
     def is_replying(self) -> bool:
         """True while a reply of the TMC2209 is on its way."""
-        return int(self._chip.state["replied"]) < state.DATAGRAM
+        return int(self._chip.state["replied"]) < state.MAX_DATAGRAM_BYTES
 
     def write(self, content: bytes) -> None:
         """Send bytes to the TMC2209, after those that are still on their way. Only bus cycles take time.
@@ -119,7 +119,8 @@ class UartPort:
             raise ArgumentError(f"write({content!r}): give bytes, such as bytes.fromhex('05000048').")
         if len(content) > self.room:
             raise StageError(
-                f"{len(content)} bytes: the line holds {state.QUEUE}, and {self.pending} are on their way. Let time pass first."
+                f"{len(content)} bytes: the line holds {state.UART_QUEUE_BYTES}, and {self.pending} are on their way. "
+                f"Let time pass first."
             )
         for byte in content:
             self._chip.write(maps.UART_BYTE, byte)

@@ -184,7 +184,7 @@ def write_register(c, address, value):
     elif address == state.GSTAT:
         c.gstat &= ~value
     elif address == state.RAMP_STAT:
-        c.events &= ~(value & state.CLEARED)
+        c.events &= ~(value & state.WRITE_TO_CLEAR_EVENTS)
     elif address == state.ENC_STATUS:
         c.enc_flags &= ~value
     elif address == state.X_ENC:
@@ -225,7 +225,7 @@ def _execute_datagram(c, datagram):
 
 
 @hot
-def write_address(c, address, value):
+def make_write_cycle(c, address, value):
     """Make one write cycle on the bus of the TMC5160."""
     if address < maps.REGISTERS:
         write_register(c, address, value & maps.M32)
@@ -254,7 +254,7 @@ def set_chip_select(c, level):
 
 
 @hot
-def peek_address(c, address):
+def peek_read_cycle(c, address):
     """Return the value that a read cycle would find, without its side effects."""
     if address < maps.REGISTERS:
         return read_register(c, address)

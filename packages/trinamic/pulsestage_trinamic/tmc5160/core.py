@@ -24,7 +24,7 @@ from stage.chips.event_loop import EDGE, PULSE
 from stage.native import array_of, exported, hot, least
 
 SPARE_EDGES = 8  # entries of `out` that are still free when `scan` returns early
-M32 = (1 << 32) - 1
+MASK_32_BITS = (1 << 32) - 1
 MAX_RAMP_CLOCKS = 1 << 20  # clocks processed at once with changing speed: the distance still fits 63 bits
 EDGE_SPACING_CLOCKS = 1 << 13  # clocks between two EDGE records of a ramp
 STOP_BEFORE_COMPARE, STOP_AT_EACH_STEP, STOP_AT_EACH_EDGE = 1, 2, 4
@@ -102,7 +102,7 @@ def _has_only_steps(c, plan_kind, speed_change, clocks, step_limit, thresholds):
 @hot
 def _find_eventful_step(c, stop_flags):
     """Return the number of the step, counted from 1, at which something other than a step may happen."""
-    ahead = ((c.target - c.x) * c.dir) & M32
+    ahead = ((c.target - c.x) * c.dir) & MASK_32_BITS
     max_steps = ahead if ahead else 1 << 32
     if c.reg[state.RAMPMODE] == state.POSITION:
         n = abs(ramp.compute_distance_to_target(c))
@@ -116,7 +116,7 @@ def _find_eventful_step(c, stop_flags):
     if stop_flags & STOP_AT_EACH_STEP:
         return 1
     if stop_flags & STOP_BEFORE_COMPARE:
-        ahead = ((c.reg[state.X_COMPARE] - c.x) * c.dir) & M32
+        ahead = ((c.reg[state.X_COMPARE] - c.x) * c.dir) & MASK_32_BITS
         max_steps = least(max_steps, ahead if ahead else 1)
     return max_steps
 
@@ -147,7 +147,7 @@ def _skip_uneventful_clocks(c, until, stop_flags):
             return 0
         c.clock += clocks
         return clocks
-    plan_kind, speed_change, max_steps = ramp.plan_even_stretch(c)
+    plan_kind, speed_change, max_steps = ramp.plan_even_speed_change(c)
     if plan_kind == ramp.SINGLE_CLOCK or max_steps == 0:
         return 0
     clocks = least(clocks, max_steps)
@@ -283,7 +283,7 @@ def read_pulse_rate(c, axis_index, clock_hz):
 @exported("i8", STATE, "i8")
 def read_counter(c, axis_index):
     """Return XACTUAL, the TMC5160's actual position in microsteps of 2^MRES/256 full step."""
-    return c.x & M32
+    return c.x & MASK_32_BITS
 
 
 @exported("i8", STATE, "i8")
@@ -325,19 +325,19 @@ def is_busy(c, axis_index):
 @exported("i8", STATE, "i8")
 def peek(c, address):
     """Return the value that a read cycle would find, without its side effects."""
-    return bus.peek_address(c, address & 0xFF)
+    return bus.peek_read_cycle(c, address & 0xFF)
 
 
 @exported("i8", STATE, "i8")
 def read(c, address):
     """Make one read cycle on the bus."""
-    return bus.peek_address(c, address & 0xFF)
+    return bus.peek_read_cycle(c, address & 0xFF)
 
 
 @exported(None, STATE, "i8", "i8")
 def write(c, address, value):
     """Make one write cycle on the bus, between two clocks."""
-    bus.write_address(c, address & 0xFF, value)
+    bus.make_write_cycle(c, address & 0xFF, value)
 
 
 @exported("i8", STATE, "i8")
@@ -393,7 +393,7 @@ def write_present_edge(c, axis, out, k):
         c.clock,
         c.inputs,
         bus.compute_output_pins(c),
-        c.x & M32,
+        c.x & MASK_32_BITS,
         c.net,
         _compute_field_rate(c),
     )

@@ -9,7 +9,7 @@ from stage.chips import cycle_descriptions
 from stage.chips.cycle_descriptions import FieldDescriber, Statement, shorten_line
 
 _FIELDS = {r.number: FieldDescriber(r) for r in maps.MAP.registers if r.fields}
-CLEARED = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
+WRITE_TO_CLEAR_REGISTERS = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
 _STATUS = FieldDescriber(maps.MAP.word("SPI_STATUS"))
 
 
@@ -28,7 +28,7 @@ def describe_register(address: int, value: int, is_write: bool) -> str:
         if other is None:
             return f"no register at {address:02X}h: {'nothing changes' if is_write else 'reads 0'}"
         return f"{other.name} can only be {'read' if is_write else 'written'}"
-    if is_write and address in CLEARED:
+    if is_write and address in WRITE_TO_CLEAR_REGISTERS:
         named = ", ".join(f.name for f in r.fields if f.mask & value)
         return shorten_line(f"{r.name} <- {value & r.mask:X}h: clears {named or 'nothing'}")
     if r.fields:

@@ -173,7 +173,7 @@ MAP = RegisterMap(
 
 READABLE_REGISTERS = {r.number: r for r in MAP.registers if "R" in r.access}
 WRITABLE_REGISTERS = {r.number: r for r in MAP.registers if "W" in r.access}
-NUMBER = {r.name: r.number for r in MAP.registers}
+REGISTER_NUMBERS = {r.name: r.number for r in MAP.registers}
 IS_READABLE = tuple(int(a in READABLE_REGISTERS) for a in range(REGISTERS))
 STORED_BITS = tuple(WRITABLE_REGISTERS[a].mask if a in WRITABLE_REGISTERS else 0 for a in range(REGISTERS))
 """Bits that a write stores, by address."""

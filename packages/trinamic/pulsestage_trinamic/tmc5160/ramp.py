@@ -1,6 +1,6 @@
 r"""Compiled ramp generator of the TMC5160: six points, see "Ramp Generator" of the data sheet.
 
-`update_speed` computes one clock as the data sheet describes it. `plan_even_stretch` finds how many clocks the same change of
+`update_speed` computes one clock as the data sheet describes it. `plan_even_speed_change` finds how many clocks the same change of
 speed applies to. Speeds q are in 2^-17 of the velocity unit.
 
 v    VMAX  ______
@@ -250,7 +250,7 @@ def _update_positioning(c, direction, is_first_clock):
 
 
 @hot
-def plan_even_stretch(c):
+def plan_even_speed_change(c):
     """Plan the next clocks of a moving axis in which its speed changes evenly.
 
     Returns (kind of plan, see SINGLE_CLOCK; change of speed at each clock; number of clocks).

@@ -7,7 +7,7 @@ from stage.native import hot
 
 
 @hot
-def compute_levels(c):
+def compute_closed_switches(c):
     """Return whether the left and the right switch are closed, from the pins and SW_MODE (polarity, swap_lr)."""
     mode = c.reg[state.SW_MODE]
     refl, refr = (1 if c.inputs & state.REFL else 0), (1 if c.inputs & state.REFR else 0)
@@ -27,7 +27,7 @@ def _latch_position(c, flag):
 def process_clock(c):
     """Sample the switches at the beginning of a clock, and latch the position at their enabled edges."""
     mode = c.reg[state.SW_MODE]
-    left, right = compute_levels(c)
+    left, right = compute_closed_switches(c)
     if left != c.left:
         c.left = left
         if mode & (state.LATCH_L_ON if left else state.LATCH_L_OFF):

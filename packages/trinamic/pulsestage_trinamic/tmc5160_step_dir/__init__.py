@@ -22,7 +22,7 @@ from stage.errors import ArgumentError
 
 __all__ = ["StepDirTMC5160"]
 
-SPI_DATAGRAM = maps.SPI_BASE + 2
+SPI_DATAGRAM_ADDRESS = maps.SPI_BASE + 2
 STALL_MASKS = dict(zip(("diag0", "diag1"), MAP.masks("GCONF", "diag0_step", "diag1_dir"), strict=True))
 """Bits of GCONF with which DIAG0 and DIAG1 show a stall while SD_MODE is high."""
 
@@ -48,7 +48,7 @@ class StepDirTMC5160(StepDirAxisWithRegisters):
     WIRES: ClassVar = {"diag0": ("DIAG0_n", 0), "diag1": ("DIAG1_n", 0)}
     ADDRESSES: ClassVar = maps.ADDRESSES
     ADDRESS_MASK: ClassVar = maps.ADDRESSES - 1
-    DATA_MASK: ClassVar = maps.M40
+    DATA_MASK: ClassVar = maps.MASK_40_BITS
     DRIVER: ClassVar = "pulsestage_trinamic.tmc5160_step_dir.host_driver:StepDirTmc5160Driver"
 
     diag0, diag1 = Line("diag0"), Line("diag1")
@@ -84,8 +84,8 @@ class StepDirTMC5160(StepDirAxisWithRegisters):
         """Send an SPI datagram of 5 bytes and return the 5 bytes of the answer to the one before. Raises ArgumentError."""
         if len(datagram) != 5:
             raise ArgumentError(f"transfer({bytes(datagram)!r}): a datagram has 5 bytes, address first.")
-        self.write(SPI_DATAGRAM, int.from_bytes(datagram, "big"))
-        return int(self.read(SPI_DATAGRAM)).to_bytes(5, "big")
+        self.write(SPI_DATAGRAM_ADDRESS, int.from_bytes(datagram, "big"))
+        return int(self.read(SPI_DATAGRAM_ADDRESS)).to_bytes(5, "big")
 
     def set_load(self, lam: int, emf: int = 1024) -> None:
         """Set the load that StallGuard2 measures from now on, for a chip that is not on a stage. Journals do not record it.

@@ -24,7 +24,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 
 @hot
-def _follow_lines(c, before):
+def _process_step_edges(c, before):
     """Let the TMC5160 make the steps at STEP, with DEDGE also at a falling edge; `before` is the word of levels before."""
     if before & ~c.inputs & STEP and c.driver[0].reg[chip.CHOPCONF] & state.DEDGE:
         count_step(c, True)
@@ -44,7 +44,7 @@ def power_up(c):
     c.followed = c.net
     sequencer_connection.update_clock(c)
     bus.power_up(c.driver[0])
-    sequencer_connection.take_pins(c)
+    sequencer_connection.copy_pins_to_chip(c)
 
 
 @exported("i8", STATE, "i8")
@@ -54,7 +54,7 @@ def peek(c, address):
         number = address - maps.REGISTER_BASE
         return sequencer_connection.get_register_value(c, number) if chip_maps.IS_READABLE[number] else 0
     if maps.SPI_BASE <= address < maps.SPI_BASE + maps.SPI_ADDRESSES:
-        return bus.peek_address(c.driver[0], chip_maps.SPI_CS + address - maps.SPI_BASE)
+        return bus.peek_read_cycle(c.driver[0], chip_maps.SPI_CS + address - maps.SPI_BASE)
     return step_timer.read_register(c, address) if address < len(c.reg) else 0
 
 
@@ -66,9 +66,9 @@ def read(c, address):
 
 @hot
 def _write_chip(c, address, value):
-    sequencer_connection.take_pins(c)
-    bus.write_address(c.driver[0], address, value)
-    sequencer_connection.take_pins(c)
+    sequencer_connection.copy_pins_to_chip(c)
+    bus.make_write_cycle(c.driver[0], address, value)
+    sequencer_connection.copy_pins_to_chip(c)
 
 
 @exported(None, STATE, "i8", "i8")
@@ -81,7 +81,7 @@ def write(c, address, value):
     elif address < len(c.reg):
         before = c.inputs
         step_timer.write_register(c, address, value & chip_maps.M32)
-        _follow_lines(c, before)
+        _process_step_edges(c, before)
 
 
 @exported("i8", STATE, "i8")
@@ -101,12 +101,12 @@ def get_step_places(c):
 @exported(None, STATE, "i8", "i8")
 def set_input(c, axis_index, word):
     """Set the levels of the input pins, except DIAG0 and DIAG1, which the chip itself drives."""
-    before, word = c.inputs, word & ~state.ANSWERED
+    before, word = c.inputs, word & ~state.CHIP_DRIVEN_PINS
     apply_line_levels(c, word)
-    _follow_lines(c, before)
+    _process_step_edges(c, before)
     step_timer.stop_at_switches(c, word & ~before)
     if (word ^ before) & ~STEP:
-        sequencer_connection.take_pins(c)
+        sequencer_connection.copy_pins_to_chip(c)
 
 
 @exported("i8", STATE, "i8")
@@ -166,6 +166,7 @@ def _get_direction(c):
 
 read_outputs, read_status, is_busy, read_counter, set_shaft = make_line_functions(sys.modules[__name__])
 run, advance, trace_pulses, write_present_edge, scan_edges, run_window = make_power_stage_functions(
-    sys.modules[__name__], sequencer_connection.find_next_timer, sequencer_connection.process_timers, _follow_lines,
-    motor_field.count_moves, _get_direction, state.ANSWERED,
+    sys.modules[__name__], sequencer_connection.find_next_timer_clock, sequencer_connection.process_standstill_timers,
+    _process_step_edges,
+    motor_field.count_moves, _get_direction, state.CHIP_DRIVEN_PINS,
 )  # fmt: skip

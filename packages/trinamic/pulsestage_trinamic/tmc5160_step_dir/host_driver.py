@@ -5,7 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from pulsestage_trinamic.motor_field import PLACES_PER_FULL_STEP
-from pulsestage_trinamic.tmc5160.host_driver.driver import CHOPCONF, ROTOR_SETTLING_TIME_S, compute_current_registers
+from pulsestage_trinamic.tmc5160.host_driver.driver import (
+    DEFAULT_CHOPCONF,
+    ROTOR_SETTLING_TIME_S,
+    compute_current_registers,
+)
 from pulsestage_trinamic.tmc5160.power_stage import FULL_SCALE_V
 from stage.firmware.stepdir.driver import StepDirDriver
 
@@ -23,7 +27,7 @@ class StepDirTmc5160Driver(StepDirDriver):
             return
         amplitude = min(drive.amplitude, FULL_SCALE_V / chip.rsense)
         mres = (PLACES_PER_FULL_STEP // drive.microsteps).bit_length() - 1
-        registers = compute_current_registers(amplitude, chip.rsense) | {"CHOPCONF": CHOPCONF | mres << 24}
+        registers = compute_current_registers(amplitude, chip.rsense) | {"CHOPCONF": DEFAULT_CHOPCONF | mres << 24}
         for name, value in registers.items():
             chip.write_register(name, value)
         self.axis.wait(ROTOR_SETTLING_TIME_S)

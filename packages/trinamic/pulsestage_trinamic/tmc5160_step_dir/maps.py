@@ -11,7 +11,7 @@ from stage.chips.stepdir.maps import MAP as STEP_TIMER
 SPI_BASE, SPI_ADDRESSES = 0x10, 4
 """Bus addresses of chip select, a byte, a whole datagram and SPI_STATUS, in this order."""
 REGISTER_BASE, ADDRESSES = 0x80, 0x100
-M40 = chip.M40
+MASK_40_BITS = chip.M40
 
 MAP = RegisterMap(
     "TMC5160 (SD_MODE)",

@@ -15,7 +15,7 @@ from stage.native import hot, least
 
 FAULTS = chip.S2GA | chip.S2GB | chip.S2VSA | chip.S2VSB | chip.OT | chip.OTPW | chip.OLA | chip.OLB | chip.UV_CP
 FAULT_SHIFT = chip.S2GA.bit_length() - 1 - state.FIRST_FAULT
-SPEED_OF_ONE_CLOCK = 1 << 41
+SPEED_AT_STEP_PER_CLOCK = 1 << 41
 """Speed of the ramp generator at which a step comes each clock."""
 
 
@@ -27,7 +27,7 @@ def update_clock(c):
 
 
 @hot
-def find_next_timer(c):
+def find_next_timer_clock(c):
     """Return the clock of the axis at which the TMC5160's next standstill timer ends, or NEVER."""
     d = c.driver[0]
     at = power_stage.find_next_timer_clock(d)
@@ -44,7 +44,7 @@ def _get_standstill_clocks(d):
 
 
 @hot
-def process_timers(c):
+def process_standstill_timers(c):
     """Process the standstill timers of the TMC5160 that end now."""
     update_clock(c)
     d = c.driver[0]
@@ -55,7 +55,7 @@ def process_timers(c):
 
 
 @hot
-def take_pins(c):
+def copy_pins_to_chip(c):
     """Pass the pins of the STEP/DIR axis to its TMC5160."""
     update_clock(c)
     d = c.driver[0]
@@ -81,7 +81,7 @@ def _make_step(c, direction):
     d = c.driver[0]
     was_at_rest = power_stage.is_at_standstill(d)
     period = d.clock - d.last
-    d.q = 0 if was_at_rest or period <= 0 else SPEED_OF_ONE_CLOCK // period
+    d.q = 0 if was_at_rest or period <= 0 else SPEED_AT_STEP_PER_CLOCK // period
     d.dir = direction
     stallguard.update_stallguard_and_coolstep(d)
     before, since = d.net, c.moved_at[(c.moves - 1) % len(c.moved_at)] if c.moves else c.clock
@@ -112,6 +112,6 @@ def compute_input_word(c):
 def get_register_value(c, register):
     """Return the value of a TMC5160 register, including registers that a host cannot read."""
     if register == chip.IOIN:
-        take_pins(c)  # the level of STEP
+        copy_pins_to_chip(c)  # the level of STEP
     update_clock(c)
     return bus.get_register_value(c.driver[0], register)

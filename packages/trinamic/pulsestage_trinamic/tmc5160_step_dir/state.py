@@ -11,18 +11,18 @@ NEVER = lines.NEVER
 STATE = record(
     [
         *((name, lines.STATE[name]) for name in lines.STATE.names),
-        *motor_field.FIELDS,
+        *motor_field.STATE_FIELDS,
         ("followed", "i8"),  # `net` up to which the field has followed the steps
         ("driver", chip.STATE, (1,)),  # the chip, in its own clock; its ramp generator is off
     ]
 )
 """State of one STEP/DIR axis with a TMC5160."""
 
-_further = ("s2ga", "s2gb", "s2vsa", "s2vsb", "ot", "otpw", "ola", "olb", "uv_cp", "diag0", "diag1")
-INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_further)}}
+_CHIP_PINS = ("s2ga", "s2gb", "s2vsa", "s2vsb", "ot", "otpw", "ola", "olb", "uv_cp", "diag0", "diag1")
+INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_CHIP_PINS)}}
 """Pins of the lines, faults of the power stage, and the chip's outputs, which the host reads as it reads the switches."""
 DIAG0, DIAG1 = INPUTS["diag0"], INPUTS["diag1"]
-ANSWERED = DIAG0 | DIAG1
+CHIP_DRIVEN_PINS = DIAG0 | DIAG1
 OUTPUTS = lines.OUTPUTS
 FIRST_FAULT = len(lines.INPUTS)
 """Number of the first bit of the faults; they follow in the order of the chip's own."""

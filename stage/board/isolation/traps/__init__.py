@@ -29,7 +29,7 @@ from stage.board.isolation.traps.signal_handlers import (
     watch_crashes,
 )
 from stage.board.isolation.traps.sleep_calls import observe_calls, redirect_calls, set_observer
-from stage.board.memory_mapped_ports import Window
+from stage.board.memory_mapped_ports import MemoryWindow
 from stage.board.pin_assignment import PinWiring
 from stage.errors import StageError
 
@@ -44,7 +44,7 @@ class TrappedLibrary(Library):
         StageError: The system allows no windows; see also `Library`.
     """
 
-    def __init__(self, path: Path, link: Link, cost: int, wiring: PinWiring, windows: tuple[Window, ...]):
+    def __init__(self, path: Path, link: Link, cost: int, wiring: PinWiring, windows: tuple[MemoryWindow, ...]):
         self._handlers = SignalHandlers()
         super().__init__(path, link, cost, wiring)
         observe_calls(self.handle)

@@ -31,7 +31,13 @@ from stage.board.isolation.traps.signal_handlers import (
 )
 from stage.board.isolation.traps.sleep_calls import list_loaded_libraries
 from stage.board.isolation.traps.x86_instructions import TABLE
-from stage.board.memory_mapped_ports import PROXIES, Window, explain_missing_windows, is_supported, parse_windows
+from stage.board.memory_mapped_ports import (
+    PROXY_HINT,
+    MemoryWindow,
+    explain_missing_windows,
+    is_supported,
+    parse_windows,
+)
 from stage.errors import ArgumentError, StageError
 from stage.native import array_at
 
@@ -48,7 +54,7 @@ _FLAGS = 2 | 0x20 | 0x4000 | 0x100000  # of mmap: private, anonymous, no reserve
 _ELF, _LOAD, _READ_ONLY = b"\x7fELF", 1, 0x6474E552  # kinds of a program header
 _libc: Any = ctypes.CDLL(None)
 _libc.mmap.restype = _libc.pthread_self.restype = ctypes.c_void_p
-_space = np.zeros(1, x86_execution.SPACE)
+_handler_data = np.zeros(1, x86_execution.HANDLER_DATA)
 _tables: list[np.ndarray] = []  # the handler in another thread may look at one before
 _thunks: list[int] = []
 
@@ -58,14 +64,14 @@ class MemoryWindows:
 
     def __init__(self, library: Library, link: Link):
         self._library, self._link = library, link
-        self._windows: list[Window] = []
+        self._windows: list[MemoryWindow] = []
         self._pages: list[tuple[int, int]] = []
         self._memory = _list_memory(library) if is_supported() else []
 
     @property
     def faults(self) -> int:
         """Number of faults of this process that were accesses to windows. One fault can cover several accesses in a row."""
-        return int(_space["faults"][0])
+        return int(_handler_data["faults"][0])
 
     def map_anywhere(self, port: int, length: int) -> int:
         """Claim a window at an address that the function chooses, and return the address.
@@ -83,7 +89,7 @@ class MemoryWindows:
         begin = max([FREE_ADDRESS, *(-(-end // SPACING) * SPACING for _, end in self._pages)])
         for address in range(begin, begin + MAX_PLACES * SPACING, SPACING):
             try:
-                self.map_window(Window(address, port, size))
+                self.map_window(MemoryWindow(address, port, size))
             except ArgumentError:
                 continue
             except StageError as error:
@@ -93,7 +99,7 @@ class MemoryWindows:
             return address
         raise HostError(f"{request}: there is no room for a window of this size.")
 
-    def map_window(self, window: Window) -> None:
+    def map_window(self, window: MemoryWindow) -> None:
         """Turn accesses to a window into bus cycles.
 
         Raises:
@@ -105,7 +111,7 @@ class MemoryWindows:
         if window.address < MIN_ADDRESS:
             raise ArgumentError(
                 f"window {window}: the system lets nobody use addresses below {MIN_ADDRESS:X}h, where null pointers lead; "
-                f"{PROXIES}."
+                f"{PROXY_HINT}."
             )
         begin, end = window.address & -mmap.PAGESIZE, -(-window.end // mmap.PAGESIZE) * mmap.PAGESIZE
         for first, last in self._pages:
@@ -119,7 +125,7 @@ class MemoryWindows:
                 if at != ctypes.c_void_p(-1).value:
                     _libc.munmap(ctypes.c_void_p(at), size)
                 raise ArgumentError(
-                    f"window {window}: {_describe_address_range(begin, end)}. Choose another address; or {PROXIES}."
+                    f"window {window}: {_describe_address_range(begin, end)}. Choose another address; or {PROXY_HINT}."
                 )
             self._pages.append((begin, end))
         self._windows.append(window)
@@ -150,7 +156,7 @@ class MemoryWindows:
         spans = np.zeros(x86_execution.SPANS, x86_execution.SPAN)
         spans[: len(rows)] = rows
         _tables.append(spans)
-        _space["spans"] = spans.ctypes.data
+        _handler_data["spans"] = spans.ctypes.data
 
     def explain_refusal(self, what: int, instruction_address: int, address: int) -> HostError:
         """Return the error for an instruction that accesses a window but is no bus cycle.
@@ -188,12 +194,12 @@ class MemoryWindows:
 def _install_handler() -> None:
     """Install the handler of faults. Faults that are no accesses to windows go to the previous handler."""
     if not _thunks:
-        _space["opcodes"], _space["signal"] = TABLE.ctypes.data, _get_address(_libc.signal)
-        _space["request"] = _get_address(host_requests.request.pointer)
+        _handler_data["opcodes"], _handler_data["signal"] = TABLE.ctypes.data, _get_address(_libc.signal)
+        _handler_data["request"] = _get_address(host_requests.request.pointer)
         _thunks.append(_make_thunk())
     action = get_action(SIGSEGV)
     if action.handler != _thunks[0]:
-        _space["previous"] = action.handler or 0
+        _handler_data["previous"] = action.handler or 0
         set_action(SIGSEGV, SignalAction(_thunks[0], flags=WITH_INFO | NO_MASK | ON_STACK))
 
 
@@ -208,12 +214,12 @@ def _make_thunk() -> int:
     It calls `handle_fault` with an INSTRUCTION record on the stack, and jumps to the previous handler if that is requested.
     """
     size = struct.pack("<i", -(-x86_execution.INSTRUCTION.itemsize // 16) * 16)
-    previous = _space.ctypes.data + int(dict(x86_execution.SPACE.fields or {})["previous"][1])
+    previous = _handler_data.ctypes.data + int(dict(x86_execution.HANDLER_DATA.fields or {})["previous"][1])
     code = (
         b"\x57\x56\x52"  # push rdi, rsi, rdx
         + b"\x48\x81\xec" + size  # sub rsp, size
         + b"\x49\x89\xe0\x4d\x89\x00"  # mov r8, rsp; mov [r8], r8
-        + b"\x48\xb9" + struct.pack("<Q", _space.ctypes.data)  # mov rcx, the SPACE record
+        + b"\x48\xb9" + struct.pack("<Q", _handler_data.ctypes.data)  # mov rcx, the SPACE record
         + b"\x48\xb8" + struct.pack("<Q", _get_address(x86_execution.handle_fault.pointer))  # mov rax, handle_fault
         + b"\xff\xd0"  # call rax
         + b"\x48\x81\xc4" + size  # add rsp, size
@@ -224,7 +230,7 @@ def _make_thunk() -> int:
     try:
         return make_executable(code)
     except StageError as error:
-        raise StageError(f"{error} Windows need that: {PROXIES}.") from None
+        raise StageError(f"{error} Windows need that: {PROXY_HINT}.") from None
 
 
 def _describe_address_range(begin: int, end: int) -> str:

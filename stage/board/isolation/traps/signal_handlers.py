@@ -15,11 +15,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from stage.board.crash_report import TOUCHES, Crash, encode_crash_note, find_symbol
+from stage.board.crash_report import MEMORY_SIGNALS, Crash, encode_crash_note, find_symbol
 from stage.errors import StageError
 
-CRASHES = (*TOUCHES, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
-TIMERS = {signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, *range(signal.SIGRTMIN, signal.SIGRTMAX + 1)}
+CRASHES = (*MEMORY_SIGNALS, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
+TIMER_SIGNALS = {signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, *range(signal.SIGRTMIN, signal.SIGRTMAX + 1)}
 """The signals of setitimer, of alarm, and those that timer_create can be given."""
 STACK_SIZE = 16 << 20  # bytes, of handlers: that of the firmware may be full
 MAX_DEPTH = 100  # calls
@@ -31,7 +31,9 @@ whose bit 1 says that it wrote."""
 _NEAR_STACK = 1 << 16  # bytes
 _DEFAULT, _IGNORE = 0, 1
 WITH_INFO, NO_MASK, RESTART, ON_STACK = 4, 0x40000000, 0x10000000, 0x08000000  # flags of sigaction
-_FORKED = encode_crash_note("a process that it had forked crashed (it has no bus: only the firmware itself has)")
+_FORK_CRASH_NOTE = encode_crash_note(
+    "a process that it had forked crashed (it has no bus: only the firmware itself has)"
+)
 _HANDLER = ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
 _permanent: list[Any] = []  # objects that live as long as the process
 _position = (ctypes.c_uint64 * 2)()  # program counter, and the word on top of the stack
@@ -102,7 +104,7 @@ def watch_crashes(note: Callable[[bytes], None]) -> None:
             os._exit(1)
         try:
             crash = (
-                _FORKED
+                _FORK_CRASH_NOTE
                 if _is_from_a_fork(number, info)
                 else json.dumps(_describe_crash(libc, calls, number, info, context)).encode()
             )
@@ -134,7 +136,7 @@ def _describe_crash(libc: Any, calls: Any, number: int, info: int, context: int)
 
     places = _CONTEXT.get(platform.machine(), {})
     code = ctypes.c_int.from_address(info + _CODE).value
-    address = word(info + _ADDRESS) if number in TOUCHES and code > 0 else -1
+    address = word(info + _ADDRESS) if number in MEMORY_SIGNALS and code > 0 else -1
     pc = word(context + places["pc"]) if "pc" in places else None
     jumped = address >= 0 and pc == address
     if jumped:  # nobody can unwind from there: to read the code at the address is the next fault
@@ -204,12 +206,12 @@ def _make_position_handler() -> int:
 
 def block_timers() -> None:
     """Block timer signals in this thread: a handler of the firmware that makes a bus cycle would break Python."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, TIMERS)
+    signal.pthread_sigmask(signal.SIG_BLOCK, TIMER_SIGNALS)
 
 
 def unblock_timers() -> None:
     """Allow timer signals in this thread, which runs the firmware."""
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, TIMERS)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, TIMER_SIGNALS)
 
 
 class SignalHandlers:

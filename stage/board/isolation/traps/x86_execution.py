@@ -21,13 +21,13 @@ READABLE, WRITABLE, CODE, WINDOW, PAGE, STACK = 1, 2, 4, 8, 16, 32
 """Kinds: memory that can be read, written, executed; a window; the rest of a window's pages; the stack of the firmware."""
 SPANS = 256
 """Rows of a table; a row of kind 0 is behind the last."""
-ROW = SPAN.itemsize
+SPAN_BYTES = SPAN.itemsize
 
-SPACE = record([(name, "i8") for name in "request opcodes spans previous signal faults".split()])
+HANDLER_DATA = record([(name, "i8") for name in "request opcodes spans previous signal faults".split()])
 """Data of the handler of faults: the function for requests, the table of instructions, SPANs, the handler before it, the function
 `signal` of C, and how many faults were accesses to windows."""
-_STEP = "own regs start at prefixes rex memory ea rm reg immediate status changes mask stack floor since"
-INSTRUCTION = record([(name, "i8") for name in _STEP.split()])
+_INSTRUCTION_FIELDS = "own regs start at prefixes rex memory ea rm reg immediate status changes mask stack floor since"
+INSTRUCTION = record([(name, "i8") for name in _INSTRUCTION_FIELDS.split()])
 """
     own             where this record is
     regs            where the saved registers are
@@ -49,14 +49,14 @@ NARROW, REPEATED, LOCKED, SHORT = 1, 2, 4, 8
 RIP, FLAGS, REGISTERS = 16, 17, 23
 RAX, RCX, RDX, RSP, RBP, RSI, RDI = 13, 14, 12, 15, 10, 9, 8
 """Places in the saved registers (gregs of <sys/ucontext.h>)."""
-PLACES = 0x7654321089AFBCED
+REGISTER_PLACES = 0x7654321089AFBCED
 """The place of each register by its number in instructions, 4 bits each."""
 CF, PF, AF, ZF, SF, DF, OF = 1, 4, 16, 64, 128, 1024, 2048
-ABOVE_STACK = 2048
+STACK_TOP_BYTES = 2048
 """Bytes above rsp that are there in any thread: what has called it, and the record of the thread."""
 _U1, _I8 = np.dtype("u1"), np.dtype("i8")
-_request = declare_address_call("i8", "i8", "i4", "i8", "i8")
-_signal = declare_address_call("i8", "i4", "i8")
+_call_request = declare_address_call("i8", "i8", "i4", "i8", "i8")
+_call_signal = declare_address_call("i8", "i4", "i8")
 MAX_INSTRUCTIONS = 200
 """Instructions behind a bus cycle after which the processor takes over again."""
 SAME_STACK, RED_ZONE = 1 << 16, 128
@@ -77,7 +77,7 @@ def sign_extend(value, size):
 @hot
 def _find_place(number):
     """Return the place of an x86 register among the saved registers, from its number in instructions."""
-    return PLACES >> 4 * number & 15
+    return REGISTER_PLACES >> 4 * number & 15
 
 
 @hot
@@ -109,9 +109,9 @@ def write_register(state, number, size, value):
 
 
 @hot
-def _on_stack(state, address, size):
+def _is_on_stack(state, address, size):
     """Return whether `size` bytes at an address are on the part of the stack that exists in any thread of the firmware."""
-    return state.floor <= address and address + size <= state.stack + ABOVE_STACK
+    return state.floor <= address and address + size <= state.stack + STACK_TOP_BYTES
 
 
 @hot
@@ -121,7 +121,7 @@ def find_span(space, address):
     spans = array_at(first, SPANS, SPAN)
     while spans[k].kind:
         if spans[k].begin <= address < spans[k].end:
-            return first + k * ROW
+            return first + k * SPAN_BYTES
         k += 1
     return 0
 
@@ -150,9 +150,9 @@ def _make_cycle(space, span, address, size, value, writes):
         operation = host_record.OUT8 if half == 1 else host_record.OUT16 if half == 2 else host_record.OUT32
     else:
         operation = host_record.IN8 if half == 1 else host_record.IN16 if half == 2 else host_record.IN32
-    answer = _request(space.request, (span.host, operation, port, value))
+    answer = _call_request(space.request, (span.host, operation, port, value))
     if size == 8:
-        answer |= _request(space.request, (span.host, operation, port + 4, value >> 32)) << 32
+        answer |= _call_request(space.request, (span.host, operation, port + 4, value >> 32)) << 32
     return sign_extend(answer, size)
 
 
@@ -162,7 +162,7 @@ def access_memory(state, space, address, size, value, writes):
 
     An impossible access sets `state.status`.
     """
-    if not _on_stack(state, address, size):
+    if not _is_on_stack(state, address, size):
         at = find_span(space, address)
         if at == 0:
             state.status = LEFT
@@ -354,7 +354,7 @@ def change_bit(state, operation, left, number, size):
     )
 
 
-_ROWS = x86.GROUPS + 8 * (x86.GROUP_DONE - x86.GROUP)
+_ROWS = x86.FIRST_GROUP_ROW + 8 * (x86.GROUP_DONE - x86.GROUP)
 
 
 @hot
@@ -546,7 +546,7 @@ def execute_instruction(state, space):
     relative = decode_modrm(state) if opcode.modrm else False
     variant = opcode
     if opcode.operation >= x86.GROUP:
-        variant = table[x86.GROUPS + 8 * (opcode.operation - x86.GROUP) + (state.reg & 7)]
+        variant = table[x86.FIRST_GROUP_ROW + 8 * (opcode.operation - x86.GROUP) + (state.reg & 7)]
         if variant.target or variant.source:
             opcode = variant
             size = int(opcode.width) or size
@@ -568,11 +568,11 @@ def execute_instruction(state, space):
         regs[RIP] = state.at
 
 
-@exported("i4", "i4", "i8", "i8", SPACE, INSTRUCTION)
+@exported("i4", "i4", "i8", "i8", HANDLER_DATA, INSTRUCTION)
 def handle_fault(number, info, context, space, state):
     """Handle a memory fault of the firmware; return 0 for a fault that is no access to a memory window.
 
-    C prototype: int32_t handle_fault(int32_t signal, siginfo_t *, ucontext_t *, SPACE *, INSTRUCTION *). The thunk of
+    C prototype: int32_t handle_fault(int32_t signal, siginfo_t *, ucontext_t *, HANDLER_DATA *, INSTRUCTION *). The thunk of
         memory_windows.py
     calls it with an INSTRUCTION record on the handler's stack.
     """
@@ -582,7 +582,7 @@ def handle_fault(number, info, context, space, state):
     if at == 0 or jumped or not array_at(at, 1, SPAN)[0].kind & (WINDOW | PAGE):
         if space.previous > 1:
             return 0
-        _signal(space.signal, (number, 0))  # it happens again, and then ends the process
+        _call_signal(space.signal, (number, 0))  # it happens again, and then ends the process
         return 1
     space.faults += 1
     state.regs, state.since = context + REGS, 0
@@ -592,7 +592,7 @@ def handle_fault(number, info, context, space, state):
     execute_instruction(state, space)
     if state.status:
         operation = host_record.BEYOND_WINDOW if state.status == BEYOND else host_record.NO_CYCLE
-        _request(space.request, (array_at(at, 1, SPAN)[0].host, operation, state.own, address))
+        _call_request(space.request, (array_at(at, 1, SPAN)[0].host, operation, state.own, address))
         return 1
     while state.since < MAX_INSTRUCTIONS:
         if regs[RIP] == space.request:  # as ps_delay_us does: no reason to return to the processor
@@ -600,7 +600,7 @@ def handle_fault(number, info, context, space, state):
             if state.status:
                 return 1
             arguments = int(regs[RDI]), int(regs[RSI]), int(regs[RDX]), int(regs[RCX])
-            regs[RAX] = _request(space.request, arguments)
+            regs[RAX] = _call_request(space.request, arguments)
             regs[RIP], regs[RSP], state.since = back, int(regs[RSP]) + 8, 0
         at = find_span(space, int(regs[RIP]))
         if at == 0 or not array_at(at, 1, SPAN)[0].kind & CODE:

@@ -1,7 +1,7 @@
 """Table of the x86-64 instructions that may access a window, or that stand between two such accesses.
 
 `TABLE[opcode]`, and `TABLE[0x100 | opcode]` for opcodes after 0Fh, says what an instruction does, its target, its source, and the
-size of its operands in bytes. If the byte after the opcode decides, the entry is in `TABLE[GROUPS + 8 * group + reg]`.
+size of its operands in bytes. If the byte after the opcode decides, the entry is in `TABLE[FIRST_GROUP_ROW + 8 * group + reg]`.
 (Intel 64 and IA-32 Architectures Software Developer's Manual, volume 2, appendix A.)
 """
 
@@ -29,12 +29,12 @@ OPCODE = record([(name, "i8") for name in "operation known modrm width source_wi
 it; source_width: of the source, 0 for the same. immediate: bytes that follow; FULL: as many as operands have,
 UP_TO_4: but 4 at most."""
 FULL, UP_TO_4 = 16, 17
-GROUPS = 512
+FIRST_GROUP_ROW = 512
 
 
 ARITHMETIC, SHIFTS, UNARY, COUNT, OFF, BITS = range(6)
 """Groups of instructions that share an opcode; the byte after the opcode selects one of them."""
-PAIRS = (
+PAIRED_OPCODES = (
     *((8 * operation, operation, E, G, 0) for operation in range(ADD, TEST)),
     *((8 * operation + 2, operation, G, E, 0) for operation in range(ADD, TEST)),
     *((8 * operation + 4, operation, A, IMM, UP_TO_4) for operation in range(ADD, TEST)),
@@ -45,7 +45,7 @@ PAIRS = (
 )  # fmt: skip
 """Opcodes for bytes, each with the next one for operands whose size prefixes say: opcode, what it does, target, source,
 immediate."""
-SINGLE = (
+SINGLE_OPCODES = (
     ((0x83,), GROUP + ARITHMETIC, E, IMM, 0, 0, 1), ((0xFE,), GROUP + COUNT, E, ONE, 1, 0, 0),
     ((0xFF,), GROUP + OFF, E, NONE, 0, 0, 0), ((0x1BA,), GROUP + BITS, E, IMM, 0, 0, 1), ((0x1A3,), BT, E, G, 0, 0, 0),
     ((0x1AB,), BTS, E, G, 0, 0, 0),
@@ -62,7 +62,7 @@ SINGLE = (
     ((0x1B7,), MOVZX, G, E, 0, 2, 0), ((0x1BE,), MOV, G, E, 0, 1, 0), ((0x1BF,), MOV, G, E, 0, 2, 0),
 )  # fmt: skip
 """Other opcodes: what they do, target, source, size of operands, size of the source, immediate."""
-MEMBERS = (
+GROUP_MEMBERS = (
     *((ARITHMETIC, k, k, NONE, NONE, 0, 0) for k in range(8)),
     *((SHIFTS, k, operation, NONE, NONE, 0, 0) for k, operation in ((0, ROL), (1, ROR), (4, SHL), (5, SHR), (6, SHL), (7, SAR))),
     (UNARY, 0, TEST, E, IMM, 0, UP_TO_4), (UNARY, 1, TEST, E, IMM, 0, UP_TO_4), (UNARY, 2, NOT, E, E, 0, 0),
@@ -75,7 +75,7 @@ MEMBERS = (
 
 def _make_table() -> np.ndarray:
     """Build the table of OPCODE records of the x86 interpreter: for opcodes, and for the members of groups behind them."""
-    table = np.zeros(GROUPS + 8 * (GROUP_DONE - GROUP), OPCODE)
+    table = np.zeros(FIRST_GROUP_ROW + 8 * (GROUP_DONE - GROUP), OPCODE)
 
     def put(opcode: int, operation: int, target: int, source: int, size: int, source_size: int, immediate: int) -> None:
         """Store the OPCODE record of one x86 opcode in the table."""
@@ -83,14 +83,14 @@ def _make_table() -> np.ndarray:
         by_address = immediate == 8  # it says the address of E itself
         table[opcode] = (operation, 1, modrm and not by_address, size, source_size, target, source, immediate)
 
-    for opcode, operation, target, source, immediate in PAIRS:
+    for opcode, operation, target, source, immediate in PAIRED_OPCODES:
         put(opcode, operation, target, source, 1, 0, immediate)
         put(opcode + 1, operation, target, source, 0, 0, immediate)
-    for opcodes, *rest in SINGLE:
+    for opcodes, *rest in SINGLE_OPCODES:
         for opcode in opcodes:
             put(opcode, *rest)
-    for number, reg, operation, target, source, size, immediate in MEMBERS:
-        put(GROUPS + 8 * number + reg, operation, target, source, size, 0, immediate)
+    for number, reg, operation, target, source, size, immediate in GROUP_MEMBERS:
+        put(FIRST_GROUP_ROW + 8 * number + reg, operation, target, source, size, 0, immediate)
     return table
 
 

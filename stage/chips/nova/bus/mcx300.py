@@ -15,7 +15,7 @@ from stage.chips.nova.motion import counters, rate_registers, single_axis_drive
 from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP, RESET
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
-from stage.chips.nova.registers.mcx300_words import DELAYS
+from stage.chips.nova.registers.mcx300_words import FILTER_DELAYS_US
 from stage.native import exported, hot, least
 
 WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = list_parameters(MAP)
@@ -73,7 +73,7 @@ _FILTERS = (
     state.EMG_FILTER | state.LMT_PLUS | state.LMT_MINUS | state.STOP0 | state.STOP1,
     state.STOP2,
     state.INPOS | state.ALARM,
-    3 << state.EXP,
+    3 << state.EXP_PLUS_SHIFT,
     state.STOP3,
 )
 """Masks of the inputs that the filter bits FE0 to FE4 enable; only the MCX314As has FE4."""
@@ -86,7 +86,7 @@ def reset_chip(chip):
     The clock, the input pins and the pulse totals stay.
     """
     common_reset.clear_state(chip)
-    for j in range(state.AXES):
+    for j in range(state.MAX_CHIP_AXES):
         axis = chip.ax[j]
         for k in range(len(RESET_PLACES)):
             axis.reg[RESET_PLACES[k]] = RESET_VALUES[k]
@@ -125,7 +125,7 @@ def apply_mode_registers(chip, axis):
     for k in range(len(_FILTERS)):
         if filters >> k & 1:
             axis.inputs_with_filter |= _FILTERS[k]
-    axis.filter_delay = axis.second_filter_delay = 16 * DELAYS[(e >> EM_FL if chip.extended else w >> FL) & 7]
+    axis.filter_delay = axis.second_filter_delay = 16 * FILTER_DELAYS_US[(e >> EM_FL if chip.extended else w >> FL) & 7]
 
 
 @hot
@@ -251,7 +251,7 @@ def write_register(chip, address, value):
 @hot
 def _compute_comparisons(axis):
     """Compute CMP+ and CMP-, the comparison bits of RR1, of an axis."""
-    counter = counters.read_limited_counter(axis)
+    counter = counters.read_soft_limit_counter(axis)
     return (CMP_PLUS if counter >= axis.reg[state.COMP_PLUS] else 0) | (
         CMP_MINUS if counter < axis.reg[state.COMP_MINUS] else 0
     )
@@ -302,7 +302,9 @@ def _compute_input_levels(chip, axis, axis_index):
         word |= 0 if axis.inputs & state.STOP3 else IN_STOP3
     elif axis_index == 0:
         word |= 0 if chip.emg_pin else IN_EMG
-    word |= (0 if axis.inputs >> state.EXP & 1 else IN_EXP_PLUS) | (0 if axis.inputs >> state.EXP & 2 else IN_EXP_MINUS)
+    word |= (0 if axis.inputs >> state.EXP_PLUS_SHIFT & 1 else IN_EXP_PLUS) | (
+        0 if axis.inputs >> state.EXP_PLUS_SHIFT & 2 else IN_EXP_MINUS
+    )
     word |= 0 if axis.inputs & state.INPOS else IN_INPOS
     word |= 0 if axis.inputs & state.ALARM else IN_ALARM
     if chip.axes == 2:

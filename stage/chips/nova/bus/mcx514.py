@@ -14,7 +14,7 @@ from stage.chips.nova.interpolation import mcx514_commands as prebuffer
 from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.motion import rate_registers, single_axis_drive
 from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
-from stage.chips.nova.registers.mcx514 import GENERATION
+from stage.chips.nova.registers.mcx514 import MCX514_GENERATION_MAPS
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.native import exported, hot
 
@@ -34,14 +34,19 @@ def _find_field_mask(word: str, name: str) -> int:
 
 RST = _find_command_code("RST")
 CODE, AXIS_BITS, FIRST_AXIS = _find_field_mask("WR0", "CODE"), _find_field_mask("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
-MODE_LAST = max(c.code for m in GENERATION for c in m.commands if c.kind == "mode write")
-READS = {c.symbol: c.code for m in GENERATION for c in m.commands if c.kind == "data read"}
+MODE_LAST = max(c.code for m in MCX514_GENERATION_MAPS for c in m.commands if c.kind == "mode write")
+READS = {c.symbol: c.code for m in MCX514_GENERATION_MAPS for c in m.commands if c.kind == "data read"}
 R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
-_READ = {READS[f"R-{r.name}"]: r.number for m in GENERATION for r in m.registers if f"R-{r.name}" in READS}
-PLACES = tuple(k if (k := _READ.get(code, -1)) < state.REGISTERS else -1 for code in range(256))
+_REGISTER_BY_READ_CODE = {
+    READS[f"R-{r.name}"]: r.number for m in MCX514_GENERATION_MAPS for r in m.registers if f"R-{r.name}" in READS
+}
+REGISTER_INDEX_BY_CODE = tuple(
+    k if (k := _REGISTER_BY_READ_CODE.get(code, -1)) < state.REGISTERS else -1 for code in range(256)
+)
 """Index in `reg` that each data reading command reads, or -1."""
-MODE_PLACES = tuple(
-    k - state.MODE_FIRST if (k := _READ.get(code, -1)) >= state.MODE_FIRST else -1 for code in range(256)
+MODE_INDEX_BY_CODE = tuple(
+    k - state.MODE_FIRST if (k := _REGISTER_BY_READ_CODE.get(code, -1)) >= state.MODE_FIRST else -1
+    for code in range(256)
 )
 """Index in `mode` that each data reading command reads, or -1."""
 READ_FIRST, READ_LAST = min(READS.values()), max(READS.values()) | 15
@@ -52,7 +57,7 @@ DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_fin
 VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_find_command_code(n) for n in (
     "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"))  # fmt: skip
 MFPC = _find_command_code("MFPC")
-_CODES = {m.axes: set(m.by_code) for m in GENERATION}
+_CODES = {m.axes: set(m.by_code) for m in MCX514_GENERATION_MAPS}
 LACKING_CHIPS = tuple(
     sum(1 << axes for axes, its in _CODES.items() if code not in its) if code in set().union(*_CODES.values()) else 0
     for code in range(256)
@@ -73,15 +78,15 @@ PIMD = MAP.bit("WR3", "PIMD")
 DRIVES, FAILS = 1 << MAP.bit("RR0", "n-DRV"), 1 << MAP.bit("RR0", "n-ERR")  # of X
 ERRORS = sum(MAP.masks("RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR"))
 HSST, FIRST_PHASE = MAP.bit("RR3-0", "HSST"), MAP.bit("RR3-1", "ASND")
-MEMBERS = sum(MAP.masks("IPM", "X-EN", "Y-EN", "Z-EN", "U-EN"))
+INTERPOLATION_AXES_MASK = sum(MAP.masks("IPM", "X-EN", "Y-EN", "Z-EN", "U-EN"))
 FL0, FL1 = MAP.bit("FLM", "FL0"), MAP.bit("FLM", "FL1")
 _FILTERS = (
     state.EMG_FILTER,
     state.LMT_PLUS | state.LMT_MINUS,
     state.STOP0 | state.STOP1,
     state.INPOS | state.ALARM,
-    15 << state.PIO,
-    15 << state.PIO + 4,
+    15 << state.PIO0_SHIFT,
+    15 << state.PIO0_SHIFT + 4,
     state.STOP2,
     state.ECA | state.ECB,
 )
@@ -94,7 +99,7 @@ def reset_chip(chip):
     The clock, the input pins and the pulse totals stay.
     """
     common_reset.clear_state(chip)
-    for j in range(state.AXES):
+    for j in range(state.MAX_CHIP_AXES):
         axis = chip.ax[j]
         for k in range(len(RESET_PLACES)):
             axis.reg[RESET_PLACES[k]] = RESET_VALUES[k]
@@ -155,13 +160,13 @@ def _write_parameter(chip, axis, code, value):
 def _execute_read_command(chip, code):
     """Execute a data reading command, which puts a value of an axis or of the chip into RR6 and RR7."""
     axis = chip.ax[find_lowest_axis(chip)]
-    place = PLACES[code]
+    place = REGISTER_INDEX_BY_CODE[code]
     if code == R_TX:
         value = prebuffer.read_maximum_finish_point(chip)
     elif 0 <= place < state.REGISTERS:
         value = chip.ax[0].reg[place] if SHARED_REGISTERS >> place & 1 else axis.reg[place]
-    elif MODE_PLACES[code] >= 0:
-        value = axis.mode[MODE_PLACES[code]]
+    elif MODE_INDEX_BY_CODE[code] >= 0:
+        value = axis.mode[MODE_INDEX_BY_CODE[code]]
     elif code == R_CV:
         value = rate_registers.read_speed(chip, axis)
     elif code == R_CA:
@@ -242,14 +247,14 @@ def execute_command(chip, value):
         if SHARED_REGISTERS >> code & 1:
             _write_parameter(chip, chip.ax[0], code, _read_data_registers(chip))
             return
-        for j in range(state.AXES):
+        for j in range(state.MAX_CHIP_AXES):
             if axes >> j & 1:
                 _write_parameter(chip, chip.ax[j], code, _read_data_registers(chip))
     elif state.MODE_FIRST <= code <= MODE_LAST:
         if code == state.MODE_FIRST + state.IPM:
-            chip.ax[0].mode[state.IPM] = chip.data_low & ~(MEMBERS & ~0 << chip.axes)
+            chip.ax[0].mode[state.IPM] = chip.data_low & ~(INTERPOLATION_AXES_MASK & ~0 << chip.axes)
             return
-        for j in range(state.AXES):
+        for j in range(state.MAX_CHIP_AXES):
             if axes >> j & 1:
                 chip.ax[j].mode[code - state.MODE_FIRST] = chip.data_low
                 apply_mode_registers(chip.ax[j])
@@ -258,7 +263,7 @@ def execute_command(chip, value):
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST or code == MFPC:
         prebuffer.execute_command(chip, code)
     else:
-        for j in range(state.AXES):
+        for j in range(state.MAX_CHIP_AXES):
             if axes >> j & 1:
                 _execute_axis_command(chip, chip.ax[j], j, code)
 
@@ -275,7 +280,7 @@ def write_register(chip, address, value):
     if address == 0:
         execute_command(chip, value)
     elif address <= 3:
-        for j in range(state.AXES):
+        for j in range(state.MAX_CHIP_AXES):
             if chip.selected >> j & 1:
                 chip.ax[j].wr[address] = value
                 apply_mode_registers(chip.ax[j])
@@ -321,7 +326,7 @@ def _compute_rr3_page_0(chip, axis):
 def compute_status(chip):
     """Compute RR0, the main status of a chip of the MCX514's kind."""
     word = 0
-    for j in range(state.AXES):
+    for j in range(state.MAX_CHIP_AXES):
         axis = chip.ax[j]
         word |= (DRIVES << j if is_axis_busy(axis) else 0) | (FAILS << j if axis.stop_causes & ERRORS else 0)
     return word | prebuffer.compute_status_bits(chip)
@@ -364,7 +369,7 @@ def read_register(chip, address):
 @hot
 def is_interrupt_asserted(chip):
     """Return whether INT0N is asserted, by an enabled event of an axis."""
-    for j in range(state.AXES):
+    for j in range(state.MAX_CHIP_AXES):
         if chip.ax[j].events & chip.ax[j].wr[1]:
             return 1
     return 0

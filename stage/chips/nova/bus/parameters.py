@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from stage.chips.nova.state import AXES, REGISTERS
+from stage.chips.nova.state import MAX_CHIP_AXES, REGISTERS
 from stage.chips.register_map import RegisterMap
 from stage.native import hot
 
 
-class Parameters(NamedTuple):
+class ParameterTable(NamedTuple):
     """Parameters of a chip by the command codes that write them. In the masks bit k stands for command code k.
 
     Attributes:
@@ -27,11 +27,11 @@ class Parameters(NamedTuple):
     values: tuple[int, ...]
 
 
-def list_parameters(map_: RegisterMap) -> Parameters:
+def list_parameters(map_: RegisterMap) -> ParameterTable:
     """List the parameters of a chip's register map."""
     registers = [r for r in map_.registers if r.number < REGISTERS]
     after_reset = [r for r in registers if r.reset]
-    return Parameters(
+    return ParameterTable(
         sum(1 << chip.code for chip in map_.commands if chip.kind == "data write" and chip.code < REGISTERS),
         sum(1 << r.number for r in registers if r.signed),
         sum(1 << r.number for r in registers if r.bits == 16),
@@ -57,7 +57,7 @@ def to_parameter_value(word, signed, short):
 @hot
 def find_lowest_axis(chip):
     """Return the index of the lowest selected axis, from which a host reads."""
-    for j in range(AXES):
+    for j in range(MAX_CHIP_AXES):
         if chip.selected >> j & 1:
             return j
     return 0

@@ -59,7 +59,7 @@ def _find_true_comparisons(chip, axis):
             if _is_comparison_true(chip, axis, m):
                 word |= 1 << m
         return word
-    counter = counters.read_limited_counter(axis)
+    counter = counters.read_soft_limit_counter(axis)
     word |= GE_MINUS if counter >= axis.reg[COMP_MINUS] else LT_MINUS
     return word | (GE_PLUS if counter >= axis.reg[COMP_PLUS] else LT_PLUS)
 
@@ -149,7 +149,7 @@ def _count_to_boundary(counter, direction, boundary, maximum):
 
 
 @hot
-def _count_to_rp_change(chip, axis, direction):
+def _count_to_rp_comparison_change(chip, axis, direction):
     """Return the number of counts of RP until a comparison or a software limit changes.
 
     Args:
@@ -177,21 +177,23 @@ def _count_to_rp_change(chip, axis, direction):
 
 
 @hot
-def find_next_rp_change(chip, axis):
+def find_next_rp_comparison_change(chip, axis):
     """Find the clock at which a comparison or software limit of RP changes if the shaft keeps its rate.
 
     In the up / down mode RP alternates between two values: if one step changes nothing, no later step does.
     """
     if axis.encoder_mode == UP_DOWN:
         direction = encoder.find_up_down_direction(axis)
-        return encoder.find_next_edge(chip, axis) if _count_to_rp_change(chip, axis, direction) == 1 else NEVER
+        return (
+            encoder.find_next_edge(chip, axis) if _count_to_rp_comparison_change(chip, axis, direction) == 1 else NEVER
+        )
     return encoder.find_clock_of_counts(
-        chip, axis, _count_to_rp_change(chip, axis, 1 if encoder.is_counting_up(axis) else -1)
+        chip, axis, _count_to_rp_comparison_change(chip, axis, 1 if encoder.is_counting_up(axis) else -1)
     )
 
 
 @hot
-def find_next_speed_or_timer_change(chip, axis):
+def find_next_speed_or_timer_comparison_change(chip, axis):
     """Find the clock at which a comparison of an MR register with the speed or the timer may change."""
     at = NEVER
     if chip.variant != MCX514_TYPE:

@@ -65,7 +65,7 @@ def _set_encoder_pins(axis, edge):
 
 
 @hot
-def follow_shafts(chip):
+def update_encoder_inputs(chip):
     """Update RP and the pins of all axes with an encoder to the present position of their shafts."""
     for j in range(chip.axes):
         if has_encoder(chip, j):
@@ -87,11 +87,11 @@ def set_shaft(chip, axis_index, count, rate):
         count: Edges of the encoder.
         rate: Edges per reference clock.
     """
-    follow_shafts(chip)
+    update_encoder_inputs(chip)
     axis = chip.ax[axis_index]
     axis.shaft_clock, axis.shaft_edges, axis.shaft_rate = chip.clock, count, rate
     if has_encoder(chip, axis_index):
-        follow_shafts(chip)
+        update_encoder_inputs(chip)
     else:
         chip.encoder_axes |= 1 << axis_index
         _set_encoder_pins(axis, _find_edge(axis, chip.clock))

@@ -17,7 +17,7 @@ from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.motion import single_axis_drive
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.state import EXP, MCX514_TYPE, P2M
+from stage.chips.nova.state import EXP_PLUS_SHIFT, MCX514_TYPE, P2M
 from stage.native import hot
 
 OFF, CONTINUOUS, FIXED, PULSER = range(4)
@@ -28,7 +28,7 @@ EXOP_304, EXOP_514 = MCX304_MAP.bit("WR3", "EXOP"), MCX514_MAP.bit("P2M", "EXOP"
 @hot
 def _read_exp_levels(axis):
     """Return the filtered levels of EXP+ and EXP-, as bits 0 and 1."""
-    return axis.filtered_inputs >> EXP & 3
+    return axis.filtered_inputs >> EXP_PLUS_SHIFT & 3
 
 
 @hot
@@ -36,7 +36,7 @@ def _read_exp_mode(chip, axis):
     """Return the mode of the external drives: OFF, CONTINUOUS, FIXED or PULSER."""
     if chip.variant != MCX514_TYPE:
         return axis.wr[3] >> EXOP_304 & 3
-    levels = ports.find_general_inputs(axis) >> EXP - ports.FIRST_PIO & 3
+    levels = ports.find_general_input_pins(axis) >> EXP_PLUS_SHIFT - ports.PIO0_SHIFT & 3
     return axis.mode[P2M] >> EXOP_514 & 3 if levels == 3 else OFF
 
 

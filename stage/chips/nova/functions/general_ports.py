@@ -9,15 +9,27 @@ from __future__ import annotations
 
 from stage.chips.nova.motion import counters
 from stage.chips.nova.motion.drive_phases import compute_ramp_phase_bits, is_axis_busy
-from stage.chips.nova.registers.field_builders import DCC_WIDTHS
+from stage.chips.nova.registers.field_builders import DCC_WIDTHS_US
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.registers.mcx514_words import SYNC_CLOCKS
-from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, H2M, HM, MCX514_TYPE, NEVER, P1M, P2M, P3M, PIO, SYNC_SETS
+from stage.chips.nova.registers.mcx514_words import SYNC_PULSE_CLOCKS
+from stage.chips.nova.state import (
+    COMP_MINUS,
+    COMP_PLUS,
+    H2M,
+    HM,
+    MCX514_TYPE,
+    NEVER,
+    P1M,
+    P2M,
+    P3M,
+    PIO0_SHIFT,
+    SYNC_SETS,
+)
 from stage.native import hot, least
 
 INPUT, OUTPUT, STATUS, OTHER = range(4)
-FIRST_PIO = PIO
+PIO0_SHIFT = PIO0_SHIFT
 LOWER_PORTS, UPPER_PORTS = 8, 63 << 8
 CLOCKS_PER_US = 16
 DCP, DCCW = MCX514_MAP.bit("H2M", "DCP"), MCX304_MAP.bit("HM", "DCCW")
@@ -32,7 +44,7 @@ def find_pin_kind(axis, pin_index):
 
 
 @hot
-def find_general_inputs(axis):
+def find_general_input_pins(axis):
     """Return which of PIO0 to PIO7 are general inputs, as bits."""
     word = 0
     for i in range(LOWER_PORTS):
@@ -61,7 +73,7 @@ def compute_port_levels(chip, axis_index):
     for i in range(LOWER_PORTS):
         what = find_pin_kind(axis, i)
         source = (
-            axis.inputs >> PIO
+            axis.inputs >> PIO0_SHIFT
             if what == INPUT
             else output_word
             if what == OUTPUT
@@ -77,7 +89,7 @@ def compute_port_levels(chip, axis_index):
 def _compute_upper_ports(axis, output_word):
     """Compute the levels of PIO8 to PIO13 of the MCX512."""
     out = axis.mode[P3M] << LOWER_PORTS & UPPER_PORTS
-    return output_word & out | axis.inputs >> PIO & UPPER_PORTS & ~out
+    return output_word & out | axis.inputs >> PIO0_SHIFT & UPPER_PORTS & ~out
 
 
 @hot
@@ -89,11 +101,11 @@ def compute_port_word(chip, first_axis):
 
 
 @hot
-def find_driven_outputs(chip, axis_index):
+def compute_driven_levels(chip, axis_index):
     """Return the levels that the chip drives onto general pins of an axis: PIO pins that are outputs, or OUT0 to OUT3."""
     if chip.variant == MCX514_TYPE:
         axis = chip.ax[axis_index]
-        output_word = find_general_inputs(axis) | ~(axis.mode[P3M] << LOWER_PORTS) & UPPER_PORTS
+        output_word = find_general_input_pins(axis) | ~(axis.mode[P3M] << LOWER_PORTS) & UPPER_PORTS
         return compute_port_levels(chip, axis_index) & ~output_word if axis.mode[P1M] or axis.mode[P3M] else 0
     axis, output_word = chip.ax[axis_index], chip.outputs4 >> 4 * axis_index & 15
     if chip.extended:
@@ -106,7 +118,7 @@ def find_driven_outputs(chip, axis_index):
 @hot
 def _compute_status_outputs(chip, axis):
     """Compute the status outputs CMP+, CMP-, ASND and DSND of an axis as bits 0 to 3."""
-    bits, counter = compute_ramp_phase_bits(chip, axis), counters.read_limited_counter(axis)
+    bits, counter = compute_ramp_phase_bits(chip, axis), counters.read_soft_limit_counter(axis)
     word = (1 if counter >= axis.reg[COMP_PLUS] else 0) | (2 if counter < axis.reg[COMP_MINUS] else 0)
     return word | (4 if bits & 1 else 0) | (8 if bits & 4 else 0)
 
@@ -114,7 +126,7 @@ def _compute_status_outputs(chip, axis):
 @hot
 def start_sync_pulse(chip, axis, set_index):
     """Begin a pulse on the PIO pin of SYNC set `set_index`."""
-    axis.pulse_until[set_index] = chip.clock + SYNC_CLOCKS[axis.mode[P2M] >> PW & 7]
+    axis.pulse_until[set_index] = chip.clock + SYNC_PULSE_CLOCKS[axis.mode[P2M] >> PW & 7]
     chip.stale = 1
 
 
@@ -122,7 +134,7 @@ def start_sync_pulse(chip, axis, set_index):
 def start_dcc_pulse(chip, axis):
     """Begin a pulse on the output DCC, and return its duration in clocks."""
     code = axis.mode[H2M] >> DCP if chip.variant == MCX514_TYPE else axis.mode[HM] >> DCCW
-    clocks = CLOCKS_PER_US * DCC_WIDTHS[code & 7]
+    clocks = CLOCKS_PER_US * DCC_WIDTHS_US[code & 7]
     axis.dcc_end = chip.clock + clocks
     chip.stale = 1
     return clocks

@@ -23,14 +23,14 @@ from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.motion import counters, single_axis_drive
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.registers.mcx514_words import HOME_TIMES
+from stage.chips.nova.registers.mcx514_words import HOME_TIMER_MS
 from stage.native import hot
 
 IDLE, SEEK, PAUSE_1, PASS_SIGNAL, BACK_OUT, PAUSE_BACK, SEARCH, PAUSE_2, SEARCH_Z, PAUSE_3, OFFSET = (
     0, 3, 6, 11, 15, 18, 20, 23, 28, 32, 36)  # fmt: skip
 """HSST: step 1; back to the signal and out of it; step 2; step 3; step 4; the timer after each."""
-STATES_304 = (0, 3, 15, 8, 12, 15, 15, 20, 20, 25, 25)
-STATES = (IDLE, SEEK, PAUSE_1, PASS_SIGNAL, BACK_OUT, PAUSE_BACK, SEARCH, PAUSE_2, SEARCH_Z, PAUSE_3, OFFSET)
+HMST_CODES = (0, 3, 15, 8, 12, 15, 15, 20, 20, 25, 25)
+HSST_CODES = (IDLE, SEEK, PAUSE_1, PASS_SIGNAL, BACK_OUT, PAUSE_BACK, SEARCH, PAUSE_2, SEARCH_Z, PAUSE_3, OFFSET)
 SIGNAL, LIMIT = 1, 2  # values of `home_trigger`
 
 
@@ -49,11 +49,11 @@ def _find_hm_mask(name: str) -> int:
     return MCX304_MAP.mask("HM", name)
 
 
-ENABLE_BITS = (
+STEP_ENABLE_MASKS = (
     (_find_hm_mask("ST1-E"), _find_hm_mask("ST2-E"), _find_hm_mask("ST3-E"), _find_hm_mask("ST4-E")),
     (_find_h1m_mask("S1EN"), _find_h1m_mask("S2EN"), _find_h1m_mask("S3EN"), _find_h1m_mask("S4EN")),
 )
-DIRECTION_BITS = (
+STEP_DIRECTION_MASKS = (
     (_find_hm_mask("ST1-D"), _find_hm_mask("ST2-D"), _find_hm_mask("ST3-D"), _find_hm_mask("ST4-D")),
     (_find_h1m_mask("S1DR"), _find_h1m_mask("S2DR"), _find_h1m_mask("S3DR"), 0),
 )
@@ -85,9 +85,9 @@ def reset_search(axis):
 @hot
 def compute_hmst(axis):
     """Compute HMST, the home state in RR2 of the older chips."""
-    for k in range(len(STATES)):
-        if STATES[k] == axis.home_state:
-            return STATES_304[k]
+    for k in range(len(HSST_CODES)):
+        if HSST_CODES[k] == axis.home_state:
+            return HMST_CODES[k]
     return 0
 
 
@@ -105,7 +105,7 @@ def _find_step_direction(chip, axis, search_step):
     """Return the direction of step `search_step` of the home search, +1 or -1."""
     if search_step == 4 and chip.variant == state.MCX514_TYPE:
         return 1 if axis.reg[state.TP] >= 0 else -1
-    return -1 if axis.mode[state.H1M] & DIRECTION_BITS[_is_mcx514(chip)][search_step - 1] else 1
+    return -1 if axis.mode[state.H1M] & STEP_DIRECTION_MASKS[_is_mcx514(chip)][search_step - 1] else 1
 
 
 @hot
@@ -181,7 +181,7 @@ def end_search(chip, axis):
 
 
 @hot
-def _finish_search(chip, axis):
+def _clear_counters_and_end_search(chip, axis):
     """Clear the position counters that the home search mode selects, and end the home search."""
     if chip.variant == state.MCX514_TYPE:
         mode = axis.mode[state.H2M]
@@ -234,7 +234,7 @@ def _request_drive(axis, search_step, direction, at_hv):
 @hot
 def _begin_search_step(chip, axis, search_step):
     """Begin step `search_step` of the home search, or the first later step that is enabled."""
-    enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
+    enabled, mode = STEP_ENABLE_MASKS[_is_mcx514(chip)], axis.mode[state.H1M]
     axis.home_trigger = axis.pause_end = axis.home_handles_limits = 0
     chip.stale = 1
     if (
@@ -266,11 +266,11 @@ def _begin_search_step(chip, axis, search_step):
         )
     else:
         axis.home_state = OFFSET
-        _finish_search(chip, axis)
+        _clear_counters_and_end_search(chip, axis)
 
 
 @hot
-def _watch_search_step_drive(chip, axis):
+def _stop_search_step_at_signal(chip, axis):
     """Stop the drive of a step of the home search if the signal that ends the step, or a limit, has come."""
     if axis.home_state == SEEK:
         if _is_limit_ahead(chip, axis, 1):
@@ -315,7 +315,7 @@ def _requires_stop1(chip, axis):
 def _continue_after_search_step(chip, axis):
     """Continue the search when the drive of one of its steps has ended: begin a pause or the next step, or end the search."""
     if axis.home_state == OFFSET and axis.pulses_done >= axis.output_pulses:
-        _finish_search(chip, axis)
+        _clear_counters_and_end_search(chip, axis)
     elif not axis.home_trigger:
         end_search(chip, axis)
     elif axis.home_state == SEEK:
@@ -352,7 +352,7 @@ def _clear_at_signal(chip, axis, mode_bits):
 @hot
 def _has_further_step(chip, axis, search_step):
     """Return whether the home search has an enabled step after step `search_step`."""
-    enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
+    enabled, mode = STEP_ENABLE_MASKS[_is_mcx514(chip)], axis.mode[state.H1M]
     return (
         (search_step < 2 and mode & enabled[1])
         or (search_step < 3 and mode & enabled[2])
@@ -383,7 +383,7 @@ def _begin_pause(chip, axis, next_step, clocks):
         and mode & HTME
         and _has_further_step(chip, axis, _find_step_after_pause(axis) - 1)
     ):
-        clocks += CLOCKS_PER_MS * HOME_TIMES[mode >> HTM & 7]
+        clocks += CLOCKS_PER_MS * HOME_TIMER_MS[mode >> HTM & 7]
     axis.pause_end = chip.clock + clocks
     if clocks == 0:
         _begin_search_step(chip, axis, _find_step_after_pause(axis))
@@ -404,7 +404,7 @@ def update_search(chip, axis):
         elif chip.clock >= axis.pause_end:
             _begin_search_step(chip, axis, _find_step_after_pause(axis))
     elif axis.driving:
-        _watch_search_step_drive(chip, axis)
+        _stop_search_step_at_signal(chip, axis)
     elif not axis.awaits_inpos:
         _continue_after_search_step(chip, axis)
 

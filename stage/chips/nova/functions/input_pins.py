@@ -34,7 +34,7 @@ def _find_quadrature_phase(levels):
 
 
 @hot
-def _count_encoder_pins(chip, axis, old_levels, new_levels):
+def _count_encoder_edge(chip, axis, old_levels, new_levels):
     """Count an edge of ECA or ECB that was made by setting the pins, in the mode that the registers select.
 
     Args:
@@ -85,7 +85,7 @@ def update_inputs(chip, axis):
             axis.filter_ends[k] = 0
         axis.filtered_inputs ^= bit
     if (old ^ axis.filtered_inputs) & (ECA | ECB):
-        _count_encoder_pins(chip, axis, old, axis.filtered_inputs)
+        _count_encoder_edge(chip, axis, old, axis.filtered_inputs)
     if (
         axis.stop2_clears_ep
         and axis.driving

@@ -27,7 +27,7 @@ STATUS_BITS = tuple(MCX514_MAP.mask("RR3-1", n) for n in ("TIMER", "SPLIT"))
 
 COMPARISON, RISES, FALLS = 1, 10, 11
 RISES_LOW, RISES_HIGH, FALLS_LOW, FALLS_HIGH = range(12, 16)
-EVENTS = (
+EVENT_BY_FACTOR = (
     0,
     0,
     state.TIMER,
@@ -44,7 +44,7 @@ EVENTS = (
 (TO_DV, TO_TP, TO_SP1, TO_REGISTER, FROM_LP, FROM_RP, FROM_CT, FROM_READING, PULSE, DRIVE, COUNTER_DRIVE, ABSOLUTE_DRIVE,
  PLUS, MINUS, DRIVE_BY, DRIVE_TO, SLOW_STOP, STOP, FASTER, SLOWER, TIMER_START, TIMER_STOP, SPLIT_ON, SPLIT_OFF
  ) = range(1, len(ACTIONS))  # fmt: skip
-EXCHANGED_REGISTERS = (state.LP, state.RP, state.SV, state.AC)
+MR_TARGET_REGISTERS = (state.LP, state.RP, state.SV, state.AC)
 """Registers into which action 4 of SYNC0 to SYNC3 copies its MR."""
 
 
@@ -52,7 +52,7 @@ EXCHANGED_REGISTERS = (state.LP, state.RP, state.SV, state.AC)
 def reset_actions(chip, axis):
     """Clear the timer, the split pulses and the synchronous action sets of an axis."""
     axis.timer_end = axis.split_running = axis.split_output = axis.enabled_sets = axis.due_sets = 0
-    axis.last_port_levels = axis.filtered_inputs >> state.PIO & 0xFF
+    axis.last_port_levels = axis.filtered_inputs >> state.PIO0_SHIFT & 0xFF
     ports.reset_pulses(axis)
     compare.reset_comparisons(chip, axis)
 
@@ -105,7 +105,7 @@ def _has_factor_occurred(factor, set_index, events, rises, falls, levels):
     if factor == COMPARISON:
         return events >> compare.FIRST_CMR + set_index & 1 != 0
     if factor < RISES:
-        return events & EVENTS[factor] != 0
+        return events & EVENT_BY_FACTOR[factor] != 0
     edge = falls if factor in (FALLS, FALLS_LOW, FALLS_HIGH) else rises
     if not edge >> set_index & 1:
         return False
@@ -118,8 +118,8 @@ def _has_factor_occurred(factor, set_index, events, rises, falls, levels):
 @hot
 def _find_due_sets(axis):
     """Find the synchronous action sets whose activation factors have occurred since the last call."""
-    levels = axis.filtered_inputs >> state.PIO & 0xFF
-    as_inputs = ports.find_general_inputs(axis)
+    levels = axis.filtered_inputs >> state.PIO0_SHIFT & 0xFF
+    as_inputs = ports.find_general_input_pins(axis)
     rises, falls = levels & ~axis.last_port_levels & as_inputs, axis.last_port_levels & ~levels & as_inputs
     fired = axis.new_events
     axis.last_port_levels, axis.new_events = levels, 0
@@ -144,7 +144,7 @@ def _perform_action(chip, axis, set_index, action):
     elif action == TO_SP1:
         axis.reg[state.SP1] = value & 0xFFFFFFFF
     elif action == TO_REGISTER:
-        axis.reg[EXCHANGED_REGISTERS[set_index]] = value if set_index < 2 else value & 0xFFFFFFFF
+        axis.reg[MR_TARGET_REGISTERS[set_index]] = value if set_index < 2 else value & 0xFFFFFFFF
     elif action == FROM_LP:
         axis.reg[mr] = axis.reg[state.LP]
     elif action == FROM_RP:
@@ -249,6 +249,6 @@ def count_pulses_to_event(chip, axis):
 def find_next_event(chip, axis):
     """Return the clock of the next event of an axis' timer, comparisons or pin pulses; NEVER if there is none."""
     return least(
-        least(timer.find_timer_end(axis), compare.find_next_speed_or_timer_change(chip, axis)),
+        least(timer.find_timer_end(axis), compare.find_next_speed_or_timer_comparison_change(chip, axis)),
         ports.find_next_pulse_end(chip, axis),
     )

@@ -109,7 +109,7 @@ def count_helix_ticks(arc, segment):
 
 
 @hot
-def compute_inner_ticks(arc, segment, hlv):
+def convert_hlv_to_inner_ticks(arc, segment, hlv):
     """Convert HLV to inner ticks. The result is exact if HLV is the result of the helical calculation.
 
     Args:

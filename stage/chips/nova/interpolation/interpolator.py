@@ -35,7 +35,7 @@ def reset_interpolation(chip):
     interpolation.loads_pattern = interpolation.stacked_sets = 0
     interpolation.role = interpolation.awaits_start = chip.signals_failure = chip.multichip_error = 0
     interpolation.next_tick_clock = state.NEVER
-    for j in range(state.AXES):
+    for j in range(state.MAX_CHIP_AXES):
         chip.ax[j].interpolates = chip.ax[j].moves = 0
     for k in range(len(interpolation.pattern_words)):
         interpolation.pattern_words[k] = 0
@@ -48,7 +48,7 @@ def reset_interpolation(chip):
 def find_free_queue_slot(chip):
     """Return the index at which the queue of interpolation segments takes the next segment."""
     return (
-        (chip.ip.queue_head + 1 + chip.ip.waiting_segments) % (state.STAGES + 1)
+        (chip.ip.queue_head + 1 + chip.ip.waiting_segments) % (state.PRE_BUFFER_STAGES + 1)
         if chip.interpolating
         else chip.ip.queue_head
     )
@@ -139,7 +139,7 @@ def start_interpolation(chip):
     interpolation.start_clock = chip.clock
     dd.store_pair(interpolation.tick_place, dd.ZERO)
     dd.store_pair(interpolation.segment_start, dd.ZERO)
-    segment.find_segment_end(chip)
+    segment.update_segment_end(chip)
     if not segment.begin_segment(chip):
         for j in range(chip.axes):
             if interpolation.axis_mask >> j & 1:
@@ -192,10 +192,10 @@ def _begin_next_segment(chip):
             end_interpolation(chip)
             return
         interpolation.waiting_segments -= 1
-        interpolation.queue_head = (interpolation.queue_head + 1) % (state.STAGES + 1)
+        interpolation.queue_head = (interpolation.queue_head + 1) % (state.PRE_BUFFER_STAGES + 1)
         _assert_interrupts(chip)
         dd.store_pair(interpolation.segment_start, dd.load_pair(interpolation.tick_place))
-        segment.find_segment_end(chip)
+        segment.update_segment_end(chip)
         if segment.begin_segment(chip):
             break
     segment.prepare_tick(chip)
@@ -206,7 +206,7 @@ def _begin_next_segment(chip):
     ):
         segment.replan_segment(chip, axis)
     else:
-        segment.find_tick_clock(chip, axis)
+        segment.update_next_tick_clock(chip, axis)
 
 
 @hot
@@ -264,7 +264,7 @@ def begin_interpolation_tick(chip):
         _begin_next_segment(chip)
     else:
         segment.prepare_tick(chip)
-        segment.find_tick_clock(chip, chip.ax[interpolation.main_axis])
+        segment.update_next_tick_clock(chip, chip.ax[interpolation.main_axis])
 
 
 @exported("i8", state.STATE, "i8")
@@ -347,12 +347,12 @@ def update_interpolation(chip):
         if s < axis.brake_piece or not axis.curved or chip.variant == state.MCX514_TYPE:
             begin_plan_at(axis, n)
             plan_stop(axis)
-            segment.schedule_tick(chip, axis)
+            segment.reschedule_tick(chip, axis)
         chip.stale = 1
     elif (
         not interpolation.stopping
         and s < axis.brake_piece
-        and interpolation.planned_speed != segment.limit_drive_speed(chip, axis)
+        and interpolation.planned_speed != segment.find_limited_drive_speed(chip, axis)
     ):
         segment.replan_segment(chip, axis)
         chip.stale = 1

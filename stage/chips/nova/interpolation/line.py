@@ -66,7 +66,7 @@ def count_line_ticks(interpolation, segment):
             b, shorts = length, shorts + 1
     if shorts == 3:
         return _count_ticks_by_steps(interpolation, segment, ticks_in_all)
-    both = count_ticks_of_both_axes(a, b, segment.tick_count) if shorts == 2 else 0
+    both = count_simultaneous_ticks(a, b, segment.tick_count) if shorts == 2 else 0
     alone = a + b - 2 * both  # ticks in which just one of the short ones steps
     moved = (
         (segment.tick_count - alone - both) * segment.inner_ticks,
@@ -96,7 +96,7 @@ def _count_ticks_by_steps(interpolation, segment, ticks_in_all):
 
 
 @hot
-def count_ticks_of_both_axes(first_steps, second_steps, tick_count):
+def count_simultaneous_ticks(first_steps, second_steps, tick_count):
     """Count the ticks of a line in which two axes make a pulse at once.
 
     With n ticks, an axis of a steps makes one in tick k if a k lies in [-h, a - h) modulo n, with h = n // 2. So the function

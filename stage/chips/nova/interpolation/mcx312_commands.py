@@ -27,7 +27,7 @@ LINE_3, PATTERN_3 = (MCX314AS_MAP.command(n).code for n in ("IP_3ST", "IP_3BP"))
 AX1 = MAP.bit("WR5", "AX1")  # the others lie behind, two bits each
 LSPD = MAP.bit("WR5", "LSPD")
 EXPLS, CMPLS = (MAP.mask("WR5", n) for n in ("EXPLS", "CMPLS"))
-VECTOR_AXES = (0, 2, 2, 3)
+VECTOR_AXIS_COUNTS = (0, 2, 2, 3)
 """Number of axes that constant vector speed considers, by LSPD."""
 SET_WORDS = 6  # of a set: + and - of three axes
 I_DRV, CNEXT = MAP.masks("RR0", "I-DRV", "CNEXT")
@@ -69,7 +69,7 @@ def _to_coordinate(value):
 
 
 @hot
-def _select_axes(chip, segment, axis_word, axis_count):
+def _initialize_segment(chip, segment, axis_word, axis_count):
     """Select the first axes of the word WR5 for a segment, and set the segment's other fields to their defaults.
 
     Args:
@@ -83,7 +83,7 @@ def _select_axes(chip, segment, axis_word, axis_count):
         segment.axis_numbers[k] = axis_word >> AX1 + 2 * k & 3
     segment.inner_ticks = segment.y_sign = 1
     segment.tick_count = segment.rotations = 0
-    segment.vector_axes = least(VECTOR_AXES[chip.outputs5 >> LSPD & 3], axis_count)
+    segment.vector_axes = least(VECTOR_AXIS_COUNTS[chip.outputs5 >> LSPD & 3], axis_count)
     segment.decelerates = chip.ip.deceleration_enabled
 
 
@@ -123,7 +123,7 @@ def _load_segment(chip, code, axis_count):
                 return
         return
     segment = chip.queue[interpolation.find_free_queue_slot(chip)]
-    _select_axes(chip, segment, w, axis_count)
+    _initialize_segment(chip, segment, w, axis_count)
     for k in range(axis_count):
         axis = chip.ax[segment.axis_numbers[k]]
         segment.finish[k] = _to_coordinate(axis.reg[TP])
@@ -147,7 +147,7 @@ def _submit_pattern_set(chip, set_number, axis_word, axis_count, single_stepped)
         single_stepped: Whether single steps move it.
     """
     ip, queued_segment = chip.ip, chip.queue[interpolation.find_free_queue_slot(chip)]
-    _select_axes(chip, queued_segment, axis_word, axis_count)
+    _initialize_segment(chip, queued_segment, axis_word, axis_count)
     queued_segment.kind = PATTERN
     for m in range(axis_count):
         queued_segment.finish[m] = ip.pattern_stack[set_number, 2 * m] | ip.pattern_stack[set_number, 2 * m + 1] << 16

@@ -6,7 +6,20 @@ from stage.chips.nova.interpolation import helix as helical
 from stage.chips.nova.interpolation import interpolator as interpolation
 from stage.chips.nova.interpolation import multichip, segment
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
-from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, IPM, LINE, PATTERN, STAGES, TP, TX
+from stage.chips.nova.state import (
+    ARC,
+    CP,
+    HELIX,
+    HLN,
+    HLV,
+    IPM,
+    LINE,
+    MAX_CHIP_AXES,
+    PATTERN,
+    PRE_BUFFER_STAGES,
+    TP,
+    TX,
+)
 from stage.native import greatest, hot, least
 
 
@@ -22,8 +35,8 @@ CXIV, LMDF, STEP, MAXM = (MAP.mask("IPM", n) for n in ("CXIV", "LMDF", "STEP", "
 SPD = MAP.bit("IPM", "SPD")
 CNEXT = MAP.mask("RR0", "CNEXT")
 ZONE, SC = MAP.bit("RR0", "ZONE"), MAP.bit("RR0", "SC")
-ENABLE_BITS = (1 << AXES) - 1
-VECTOR_AXES = (0, 2, 3, 2)
+AXIS_ENABLE_MASK = (1 << MAX_CHIP_AXES) - 1
+VECTOR_AXIS_COUNTS = (0, 2, 3, 2)
 """Number of axes that constant vector speed considers, by SPD."""
 
 
@@ -64,7 +77,7 @@ def to_coordinate(value, inner_ticks):
 
 
 @hot
-def _select_axes(chip, segment, ipm, axis_count):
+def _initialize_segment(chip, segment, ipm, axis_count):
     """Select the lowest axes of the word IPM for a segment, and set the segment's other fields to their defaults.
 
     Args:
@@ -74,15 +87,15 @@ def _select_axes(chip, segment, ipm, axis_count):
         axis_count: Number of axes.
     """
     segment.axis_count = 0
-    for j in range(AXES):
+    for j in range(MAX_CHIP_AXES):
         if ipm >> j & 1 and segment.axis_count < axis_count:
             segment.axis_numbers[segment.axis_count] = j
             segment.axis_count += 1
-    for k in range(AXES):
+    for k in range(MAX_CHIP_AXES):
         segment.finish[k] = 0
     segment.center[0] = segment.center[1] = segment.rotations = segment.tick_count = 0
     segment.y_sign = segment.inner_ticks = 1
-    segment.vector_axes = VECTOR_AXES[ipm >> SPD & 3]
+    segment.vector_axes = VECTOR_AXIS_COUNTS[ipm >> SPD & 3]
     segment.decelerates = chip.ip.deceleration_enabled
 
 
@@ -117,7 +130,7 @@ def _load_circle(chip, queued_segment, ipm, clockwise):
 def _load_segment(chip, code):
     """Execute a segment command of the MCX514 or MCX512, 60h to 6Ah: start the segment, queue it, or refuse it."""
     word = chip.ax[0].mode[IPM]
-    mask = word & ENABLE_BITS
+    mask = word & AXIS_ENABLE_MASK
     count = _count_axes(mask)
     if code < CIRCLE_CW:
         need = code - LINES + 1
@@ -131,11 +144,11 @@ def _load_segment(chip, code):
     role = multichip.find_multichip_role(chip, word)
     if role and (code >= CIRCLE_CW or not multichip.can_take_line(chip, role)):
         return
-    if not interpolation.can_take_segment(chip, mask, STAGES):
+    if not interpolation.can_take_segment(chip, mask, PRE_BUFFER_STAGES):
         return
     queued_segment = chip.queue[interpolation.find_free_queue_slot(chip)]
     helix = code in (HELIX_CW, HELIX_CCW)
-    _select_axes(chip, queued_segment, word, count if helix else need)
+    _initialize_segment(chip, queued_segment, word, count if helix else need)
     main = queued_segment.axis_numbers[0]
     if code < CIRCLE_CW:
         queued_segment.kind = LINE
@@ -157,7 +170,7 @@ def _load_segment(chip, code):
         queued_segment.kind = HELIX if helix else ARC
         if helix:
             queued_segment.rotations = chip.ax[0].reg[HLN]
-            queued_segment.tick_count = helical.compute_inner_ticks(
+            queued_segment.tick_count = helical.convert_hlv_to_inner_ticks(
                 chip.ip.scratch_arc, queued_segment, greatest(chip.ax[0].reg[HLV], 1)
             )
             for k in range(2, queued_segment.axis_count):
@@ -167,17 +180,17 @@ def _load_segment(chip, code):
     if role:
         multichip.await_linked_start(chip, mask, main, word & STEP, role, word & MAXM)
     else:
-        interpolation.submit_segment(chip, mask, main, STAGES, word & STEP)
+        interpolation.submit_segment(chip, mask, main, PRE_BUFFER_STAGES, word & STEP)
 
 
 @hot
 def _calculate_hlv(chip, code):
     """Execute a helical calculation of the MCX514, 6Bh or 6Ch, which writes HLV at once."""
     word = chip.ax[0].mode[IPM]
-    if chip.interpolating or _count_axes(word & ENABLE_BITS) < 2:
+    if chip.interpolating or _count_axes(word & AXIS_ENABLE_MASK) < 2:
         return
     segment = chip.queue[interpolation.find_free_queue_slot(chip)]
-    _select_axes(chip, segment, word, 2)
+    _initialize_segment(chip, segment, word, 2)
     _load_circle(chip, segment, word & ~LMDF, code == COUNT_CW)
     segment.rotations = chip.ax[0].reg[HLN]
     chip.ax[0].reg[HLV] = helical.calculate_hlv(chip.ip.scratch_arc, segment)
@@ -193,7 +206,7 @@ def read_maximum_finish_point(chip):
         segment = chip.queue[chip.ip.queue_head]
         return segment.tick_count if segment.kind == LINE else 0
     maximum = 0
-    for j in range(AXES):
+    for j in range(MAX_CHIP_AXES):
         if word >> j & 1:
             maximum = greatest(maximum, abs(to_coordinate(chip.ax[j].reg[TP], 1)))
     return maximum

@@ -19,14 +19,26 @@ from stage.chips.nova.motion.profile_planner import (
     plan_endless_drive,
     plan_fixed_drive,
 )
-from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP
-from stage.chips.nova.state import AO, AXES, AXIS, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES, STATE
+from stage.chips.nova.registers.mcx514 import MAX_CONTINUOUS_PPS, MCX514_MAP
+from stage.chips.nova.state import (
+    AO,
+    AXIS,
+    DP,
+    DV,
+    LINE,
+    MAX_CHIP_AXES,
+    MCX514_TYPE,
+    NEVER,
+    PATTERN,
+    PRE_BUFFER_STAGES,
+    STATE,
+)
 from stage.native import exported, greatest, hot, least
 
 ONE = (1.0, 0.0)
 ROOT2 = (1.4142135623730951, -9.667293313452913e-17)
 ROOT3 = (1.7320508075688772, 1.0035084221806903e-16)
-MAX_SPEED = MCX514_MAP.register("DV").range[1]
+MAX_SPEED_PPS = MCX514_MAP.register("DV").range[1]
 MAX_CLOCKS = 1e17  # centuries
 INNER_TICKS = 8  # inner ticks of a tick where short-axis pulses are equalized
 
@@ -36,7 +48,7 @@ def begin_segment(chip):
     """Begin the interpolation segment at the head of the queue, and return whether it has a tick."""
     interpolation, segment = chip.ip, chip.queue[chip.ip.queue_head]
     interpolation.ends_interpolation = interpolation.zone = 0
-    for k in range(AXES):
+    for k in range(MAX_CHIP_AXES):
         interpolation.inner_positions[k] = 0
     for j in range(chip.axes):
         chip.ax[j].moves = 0
@@ -59,7 +71,7 @@ def _compute_segment_length(chip, queue_index):
 
     The segment must not have begun.
     """
-    interpolation, segment = chip.ip, chip.queue[(chip.ip.queue_head + queue_index) % (STAGES + 1)]
+    interpolation, segment = chip.ip, chip.queue[(chip.ip.queue_head + queue_index) % (PRE_BUFFER_STAGES + 1)]
     if segment.kind == LINE:
         one, two, three = linear.count_line_ticks(interpolation, segment)
     elif segment.kind == PATTERN:
@@ -106,14 +118,14 @@ def prepare_tick(chip):
 
 
 @hot
-def limit_drive_speed(chip, axis):
+def find_limited_drive_speed(chip, axis):
     """Return the drive speed DV, limited to the maximum that the interpolation mode allows."""
     interpolation = chip.ip
     if chip.variant != MCX514_TYPE:
         return axis.reg[DV]
     return least(
         axis.reg[DV],
-        (CONTINUOUS_SPEED if interpolation.continuous else MAX_SPEED)
+        (MAX_CONTINUOUS_PPS if interpolation.continuous else MAX_SPEED_PPS)
         // chip.queue[interpolation.queue_head].inner_ticks,
     )
 
@@ -122,7 +134,7 @@ def limit_drive_speed(chip, axis):
 def _plan_segment(chip, axis):
     """Plan the profile of the main axis from its cursor on, up to the end of the segment if the segment decelerates."""
     interpolation, segment = chip.ip, chip.queue[chip.ip.queue_head]
-    interpolation.planned_speed = limit_drive_speed(chip, axis)
+    interpolation.planned_speed = find_limited_drive_speed(chip, axis)
     interpolation.plan_decelerates = segment.decelerates
     rate_registers.load_drive_speed(chip, axis, interpolation.planned_speed)
     if not segment.decelerates:
@@ -150,7 +162,7 @@ def replan_segment(chip, axis):
     """Plan the profile of the main axis again, after the drive speed or the queued segments have changed."""
     interpolation = chip.ip
     if chip.clock == interpolation.start_clock:  # nothing has moved yet
-        rate_registers.load_drive_speed(chip, axis, limit_drive_speed(chip, axis))
+        rate_registers.load_drive_speed(chip, axis, find_limited_drive_speed(chip, axis))
         begin_plan(
             axis,
             chip.clock,
@@ -162,18 +174,18 @@ def replan_segment(chip, axis):
     else:
         begin_plan_at(axis, chip.clock - axis.origin)
     _plan_segment(chip, axis)
-    schedule_tick(chip, axis)
+    reschedule_tick(chip, axis)
 
 
 @hot
-def schedule_tick(chip, axis):
+def reschedule_tick(chip, axis):
     """Find the clock of the interpolation's prepared tick again, after a change of the speed plan."""
     chip.ip.tick_piece = 0
-    find_tick_clock(chip, axis)
+    update_next_tick_clock(chip, axis)
 
 
 @hot
-def find_tick_clock(chip, axis):
+def update_next_tick_clock(chip, axis):
     """Find the clock of the prepared tick of the interpolation."""
     interpolation = chip.ip
     interpolation.next_tick_clock = NEVER
@@ -195,7 +207,7 @@ def is_chained_pattern(chip):
 
 
 @hot
-def find_segment_end(chip):
+def update_segment_end(chip):
     """Find the place in the speed profile at which the running segment ends, if it decelerates there."""
     interpolation = chip.ip
     if chip.queue[interpolation.queue_head].decelerates:
@@ -209,7 +221,7 @@ def find_segment_end(chip):
 def update_pattern_end(chip):
     """Plan the profile again after the number of sets that follow a bit pattern has changed (MCX312, MCX314As)."""
     if chip.interpolating:
-        find_segment_end(chip)
+        update_segment_end(chip)
         chip.ip.planned_speed = -1  # plan anew
 
 

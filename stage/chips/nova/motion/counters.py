@@ -6,7 +6,7 @@ from stage.chips.nova import state
 from stage.native import hot
 
 NO_MAXIMUM = 0xFFFFFFFF
-PULSE = 1  # RR3 of the older chips
+PULSE_EVENT = 1  # RR3 of the older chips
 
 
 @hot
@@ -30,7 +30,7 @@ def add_pulses(chip, axis, count):
     axis.total += count
     chip.total += count
     axis.net += axis.direction * count
-    axis.comparison_events |= PULSE
+    axis.comparison_events |= PULSE_EVENT
     axis.reg[state.LP] = _wrap_counter(
         axis.reg[state.LP] + axis.direction * count,
         axis.reg[state.LX] if chip.variant == state.MCX514_TYPE else NO_MAXIMUM,
@@ -52,7 +52,7 @@ def add_encoder_counts(chip, axis, count):
 
 
 @hot
-def read_limited_counter(axis):
+def read_soft_limit_counter(axis):
     """Return the counter that the software limits compare, LP or RP."""
     return axis.reg[state.RP] if axis.soft_rp else axis.reg[state.LP]
 
@@ -70,11 +70,11 @@ def has_passed_soft_limit(chip, axis, direction):
     """
     if direction > 0:
         return axis.soft_plus and (
-            read_limited_counter(axis) > axis.reg[state.SP]
+            read_soft_limit_counter(axis) > axis.reg[state.SP]
             if chip.variant == state.MCX514_TYPE
-            else read_limited_counter(axis) >= axis.reg[state.SP]
+            else read_soft_limit_counter(axis) >= axis.reg[state.SP]
         )
-    return axis.soft_minus and read_limited_counter(axis) < axis.reg[state.SM]
+    return axis.soft_minus and read_soft_limit_counter(axis) < axis.reg[state.SM]
 
 
 @hot

@@ -20,7 +20,7 @@ from stage.native import hot
 
 CURSOR_TIME, CURSOR_PLACE, CURSOR_SPEED, CURSOR_ACCELERATION = range(4)  # rows of the cursor
 DURATION, START_ACCELERATION, JERK = range(3)  # columns of a piece
-SPEED_ROUNDING = 1e-25  # of a speed: what rounding leaves
+RELATIVE_SPEED_TOLERANCE = 1e-25  # of a speed: what rounding leaves
 
 
 # --- pieces of a change of speed ---
@@ -94,7 +94,7 @@ def draft_speed_change(axis, speed, acceleration, goal_speed):
             speed, acceleration = settled, zero
     falls = dd.is_less(goal_speed, speed) if acceleration[0] == 0.0 else falls
     gap = _negate_if(dd.subtract(goal_speed, speed), falls)
-    if acceleration[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal_speed[0]:
+    if acceleration[0] == 0.0 and gap[0] <= RELATIVE_SPEED_TOLERANCE * goal_speed[0]:
         return k
     jerk, maximum = (
         (dd.load_pair(axis.deceleration_jerk), dd.load_pair(axis.deceleration))

@@ -21,9 +21,9 @@ from stage.chips.nova.motion.profile_evaluation import (
 from stage.chips.nova.state import CONSTANT, LP, NEVER
 from stage.native import greatest, hot, least
 
-NOT_EVEN = -1  # in place of pps: not a whole number, or a ramp
+NO_EVEN_PPS = -1  # in place of pps: not a whole number, or a ramp
 RATE_STEPS_PER_PIECE = 128  # of its rate, in a piece
-EDGE_MARGIN = 8
+SPARE_EDGE_RECORDS = 8
 MAX_TRAIN_CLOCKS = 1 << 38  # clocks; times pps it fits 63 bits
 
 
@@ -135,7 +135,7 @@ def _predict_pulse(axis, pulses_ahead):
         axis.next_pulse_piece = find_piece_of_pulse(axis, s, k)
     clock = find_clock_in_piece(axis, axis.next_pulse_piece, k)
     axis.next_pulse_clock = axis.origin + clock
-    if axis.next_pulse_piece != s or axis.even_pps != NOT_EVEN:
+    if axis.next_pulse_piece != s or axis.even_pps != NO_EVEN_PPS:
         _find_even_spacing(axis, axis.next_pulse_piece, k, clock)
 
 
@@ -149,7 +149,7 @@ def _find_even_spacing(axis, piece, pulse_number, clocks):
         pulse_number: Number of the pulse in its drive.
         clocks: Clocks after the origin at which the pulse begins.
     """
-    axis.even_pps = NOT_EVEN
+    axis.even_pps = NO_EVEN_PPS
     if axis.a2[piece, 0] != 0.0 or axis.j6[piece, 0] != 0.0 or clocks >= NEVER:
         return
     hz = dd.to_double_double(CLOCKS_PER_SECOND)

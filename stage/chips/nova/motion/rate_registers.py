@@ -7,7 +7,7 @@ from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion.profile_evaluation import CLOCKS_PER_SECOND, compute_acceleration, compute_speed
 from stage.native import greatest, hot, least
 
-RANGE = 8_000_000
+UNIT_MULTIPLE_RANGE = 8_000_000
 
 
 @hot
@@ -34,10 +34,10 @@ def convert_speed_to_pulses_per_clock(chip, axis, value):
         value: Value of the parameter.
     """
     if chip.variant == state.MCX514_TYPE:
-        return _divide_integers(least(greatest(value, 1), RANGE), CLOCKS_PER_SECOND)
-    fastest = RANGE // 1000
+        return _divide_integers(least(greatest(value, 1), UNIT_MULTIPLE_RANGE), CLOCKS_PER_SECOND)
+    fastest = UNIT_MULTIPLE_RANGE // 1000
     return dd.divide(
-        dd.to_double_double(least(greatest(value, 1), fastest) * RANGE),
+        dd.to_double_double(least(greatest(value, 1), fastest) * UNIT_MULTIPLE_RANGE),
         dd.to_double_double(CLOCKS_PER_SECOND * _clip_range_register(axis)),
     )
 
@@ -45,7 +45,7 @@ def convert_speed_to_pulses_per_clock(chip, axis, value):
 @hot
 def _clip_range_register(axis):
     """Return the register R, limited to its range: multiples 1 to 500."""
-    return least(greatest(axis.reg[state.R], RANGE // 500), RANGE)
+    return least(greatest(axis.reg[state.R], UNIT_MULTIPLE_RANGE // 500), UNIT_MULTIPLE_RANGE)
 
 
 @hot
@@ -57,7 +57,7 @@ def _convert_acceleration_to_pulses_per_clock2(chip, axis, value):
         )
     return dd.divide(
         dd.divide(
-            dd.to_double_double(125 * greatest(value, 1) * RANGE),
+            dd.to_double_double(125 * greatest(value, 1) * UNIT_MULTIPLE_RANGE),
             dd.to_double_double(CLOCKS_PER_SECOND * _clip_range_register(axis)),
         ),
         dd.to_double_double(CLOCKS_PER_SECOND),
@@ -73,7 +73,8 @@ def _convert_jerk_to_pulses_per_clock3(chip, axis, value):
             dd.to_double_double(CLOCKS_PER_SECOND),
         )
     up = dd.divide(
-        dd.to_double_double(62_500_000 * RANGE), dd.to_double_double(greatest(value, 1) * _clip_range_register(axis))
+        dd.to_double_double(62_500_000 * UNIT_MULTIPLE_RANGE),
+        dd.to_double_double(greatest(value, 1) * _clip_range_register(axis)),
     )
     return dd.divide(
         dd.divide(dd.divide(up, dd.to_double_double(CLOCKS_PER_SECOND)), dd.to_double_double(CLOCKS_PER_SECOND)),
@@ -88,7 +89,7 @@ def read_speed(chip, axis):
         return 0
     v = compute_speed(axis, chip.clock - axis.origin) * CLOCKS_PER_SECOND
     if chip.variant != state.MCX514_TYPE:
-        v *= _clip_range_register(axis) / RANGE
+        v *= _clip_range_register(axis) / UNIT_MULTIPLE_RANGE
     return int(v + 1e-6)
 
 
@@ -99,7 +100,7 @@ def read_acceleration(chip, axis):
         return 0
     a = abs(compute_acceleration(axis, chip.clock - axis.origin)) * CLOCKS_PER_SECOND * CLOCKS_PER_SECOND
     if chip.variant != state.MCX514_TYPE:
-        a *= _clip_range_register(axis) / RANGE / 125.0
+        a *= _clip_range_register(axis) / UNIT_MULTIPLE_RANGE / 125.0
     return int(a + 1e-6)
 
 

@@ -8,7 +8,7 @@ from stage.chips.nova.motion import profile_planner
 from stage.chips.nova.motion.counters import NO_MAXIMUM, add_pulses, has_passed_soft_limit, is_limit_asserted
 from stage.chips.nova.motion.profile_evaluation import count_begun_pulses, find_clock_of_pulse, find_phase, find_piece
 from stage.chips.nova.motion.pulse_output import store_pulse_end
-from stage.chips.nova.motion.rate_registers import RANGE, load_drive_speed, load_rates
+from stage.chips.nova.motion.rate_registers import UNIT_MULTIPLE_RANGE, load_drive_speed, load_rates
 from stage.native import exported, greatest, hot, least
 
 RELATIVE, COUNTER_RELATIVE, ABSOLUTE, FORWARD, BACKWARD = range(5)
@@ -239,7 +239,9 @@ def step_drive_speed(chip, axis, direction):
         axis: State of the axis.
         direction: +1 or -1.
     """
-    change_drive_speed(chip, axis, least(greatest(axis.reg[state.DV] + direction * axis.reg[state.IV], 1), RANGE))
+    change_drive_speed(
+        chip, axis, least(greatest(axis.reg[state.DV] + direction * axis.reg[state.IV], 1), UNIT_MULTIPLE_RANGE)
+    )
 
 
 @hot

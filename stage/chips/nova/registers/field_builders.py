@@ -8,9 +8,9 @@ from typing import Any
 
 from stage.chips.register_map import Field, Word
 
-AXES = "XYZU"
+AXIS_LETTERS = "XYZU"
 LEVELS = ("low", "high")
-DCC_WIDTHS = (10, 20, 100, 200, 1000, 2000, 10_000, 20_000)
+DCC_WIDTHS_US = (10, 20, 100, 200, 1000, 2000, 10_000, 20_000)
 """Pulse width of the deviation counter clear output, us, by its code."""
 Range = tuple[int, int] | None
 Values = tuple[str, ...] | Mapping[int, str]
@@ -24,7 +24,7 @@ def format_times(microseconds: Iterable[int]) -> tuple[str, ...]:
 
 def name_axes(axes: int) -> str:
     """Return the names of axes, bit 0 for X."""
-    return " ".join(a for k, a in enumerate(AXES) if axes >> k & 1)
+    return " ".join(a for k, a in enumerate(AXIS_LETTERS) if axes >> k & 1)
 
 
 def make_bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), **more: Any) -> Field:
@@ -71,7 +71,7 @@ def make_axis_bits(name: str, low: int, axes: int, meaning: str, evidence: str =
         evidence: Letter of EVIDENCE.
     """
     values = {v: (name_axes(v) or "no axis") + meaning for v in range(1 << axes)}
-    note = f"{', '.join(AXES[:axes])}{meaning}"
+    note = f"{', '.join(AXIS_LETTERS[:axes])}{meaning}"
     return make_bits(name, low + axes - 1, low, "", evidence, values, note=note, listed=False)
 
 
@@ -92,11 +92,11 @@ def make_word(name: str, title: str, *fields: Field | Iterable[Field], access: s
     return Word(name, title, ordered, 16, note, address)
 
 
-DATA_WRITTEN = (
+DATA_WRITE_WORDS = (
     make_word("WR6", "data, low word", make_bits("WD", 15, 0, "bits 15 to 0 of the next command's data")),
     make_word("WR7", "data, high word", make_bits("WD", 15, 0, "bits 31 to 16 of the next command's data")),
 )
-DATA_READ = (
+DATA_READ_WORDS = (
     make_word("RR6", "data, low word", make_bits("RD", 15, 0, "bits 15 to 0 of what a command read")),
     make_word("RR7", "data, high word", make_bits("RD", 15, 0, "bits 31 to 16 of what a command read")),
 )

@@ -11,14 +11,14 @@ from dataclasses import replace
 from stage.chips.nova.registers.mcx300_words import EM, HM, list_mcx314as_words, list_words
 from stage.chips.register_map import ChipCommand, Register, RegisterMap, make_read_command, make_write_command
 
-RANGE = 8_000_000
+UNIT_MULTIPLE_RANGE = 8_000_000
 """Value of the range register R for which the multiple is 1."""
 SPEED, CURVE = (1, 8000), (1, 65535)
 RESET = 0x8000
 """Value of WR0 that resets the chip."""
 CHIPS = ("MCX304", "MCX302", "MCX312")
-INTERPOLATING = ("MCX312",)
-NO_ACTIONS = "no synchronous action comes"
+INTERPOLATING_CHIP_NAMES = ("MCX312",)
+NO_SYNC_ACTION_TEXT = "no synchronous action comes"
 
 
 def _make_speed_register(code: int, name: str, title: str, note: str, legal: tuple[int, int] = SPEED) -> Register:
@@ -34,7 +34,17 @@ def _make_position_register(
 
 
 PARAMETERS = (
-    Register("R", 0x00, 32, "W", "range", (16_000, RANGE), evidence="C", reset=RANGE, note=f"m = {RANGE} / R"),
+    Register(
+        "R",
+        0x00,
+        32,
+        "W",
+        "range",
+        (16_000, UNIT_MULTIPLE_RANGE),
+        evidence="C",
+        reset=UNIT_MULTIPLE_RANGE,
+        note=f"m = {UNIT_MULTIPLE_RANGE} / R",
+    ),
     _make_speed_register(0x01, "K", "jerk", "62500000 m / K pps/s2", CURVE),
     _make_speed_register(0x02, "A", "acceleration", "125 m A pps/s"),
     _make_speed_register(0x03, "D", "deceleration", "125 m D pps/s, used with DSNDE"),
@@ -56,7 +66,7 @@ PARAMETERS = (
     HM,
     _make_speed_register(0x61, "HV", "home search speed", "m HV pps"),
 )
-PRESENT = (
+READ_ONLY_REGISTERS = (
     Register("CV", 0x12, 16, "R", "current speed", evidence="C", note="m CV pps"),
     Register("CA", 0x13, 16, "R", "current acceleration / deceleration", evidence="C", note="125 m CA pps/s"),
 )
@@ -86,7 +96,7 @@ COMMANDS = (
     ChipCommand(0x0F, "NOP", "axis selection only", "other", evidence="C"),
     make_read_command(_BY_NAME["LP"], 0x10),
     make_read_command(_BY_NAME["EP"], 0x11),
-    *(make_read_command(r) for r in PRESENT),
+    *(make_read_command(r) for r in READ_ONLY_REGISTERS),
     _make_drive_command(0x20, "F_DRV_P", "+ direction fixed pulse drive", True),
     _make_drive_command(0x21, "F_DRV_M", "- direction fixed pulse drive", True),
     _make_drive_command(0x22, "C_DRV_P", "+ direction continuous drive", True),
@@ -118,17 +128,17 @@ def find_chips_with(row: Register | ChipCommand) -> tuple[str, ...]:
     """Return the names of the chips of the family that have a register or command."""
     name = row.symbol if isinstance(row, ChipCommand) else row.name
     only = name in INTERPOLATION_REGISTERS or (isinstance(row, ChipCommand) and row.kind == "interpolation")
-    return INTERPOLATING if only else CHIPS
+    return INTERPOLATING_CHIP_NAMES if only else CHIPS
 
 
 def _make_register_map(chip: str, axes: int) -> RegisterMap:
     """Return the register map of the MCX304, MCX302 or MCX312."""
-    interpolates = chip in INTERPOLATING
+    interpolates = chip in INTERPOLATING_CHIP_NAMES
     return RegisterMap(
         chip,
         f"NOVA {chip} pulse generator{' with interpolation' if interpolates else ''}, {axes} axes, 16-bit bus",
         "failure notice of 2006-11-21 (data sheet); working drivers; names from NOVA's MC8000P library and from memory",
-        tuple(r for r in (*PARAMETERS, *PRESENT) if chip in find_chips_with(r)),
+        tuple(r for r in (*PARAMETERS, *READ_ONLY_REGISTERS) if chip in find_chips_with(r)),
         list_words(axes, interpolates),
         tuple(c for c in COMMANDS if chip in find_chips_with(c)),
         axes,
@@ -144,16 +154,17 @@ MCX304_MAP, MCX302_MAP, MCX312_MAP = (
 
 def _make_mcx314as_map() -> RegisterMap:
     """Return the map of the MCX314As: that of an MCX312 for four axes, with lines of three axes, EM in place of HM, and SYNC."""
-    registers = tuple(EM if r.name == "HM" else r for r in (*PARAMETERS, *PRESENT))
+    registers = tuple(EM if r.name == "HM" else r for r in (*PARAMETERS, *READ_ONLY_REGISTERS))
     sync = Register("SM", 0x64, 32, "W", "synchronous actions", None, (), "C", reset=0)
     buffer = Register("BR", 0x14, 32, "R", "synchronous action buffer", evidence="C")
     more = (
         _make_segment_command(0x31, "IP_3ST", "3-axis linear interpolation"),
         _make_segment_command(0x35, "IP_3BP", "3-axis bit pattern interpolation", points=False),
         make_write_command(EM, "mode write"),
-        replace(make_write_command(sync, "mode write"), lacking=f"not modeled (its bits are not known): {NO_ACTIONS}"),
-        replace(make_read_command(buffer), lacking=f"not modeled: it reads 0, as {NO_ACTIONS}"),
-        ChipCommand(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C", lacking=f"not modeled: {NO_ACTIONS}"),
+        replace(make_write_command(sync, "mode write"), lacking=f"not modeled (its bits are not known): {NO_SYNC_ACTION_TEXT}"),
+        replace(make_read_command(buffer), lacking=f"not modeled: it reads 0, as {NO_SYNC_ACTION_TEXT}"),
+        ChipCommand(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C",
+        lacking=f"not modeled: {NO_SYNC_ACTION_TEXT}"),
     )  # fmt: skip
     three = {"IP_3ST", "IP_3BP"}
     found = [*(c for c in COMMANDS if c.symbol != "HM"), *more]

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stage.chips.nova.registers.field_builders import (
-    AXES,
-    DATA_READ,
-    DATA_WRITTEN,
-    DCC_WIDTHS,
+    AXIS_LETTERS,
+    DATA_READ_WORDS,
+    DATA_WRITE_WORDS,
+    DCC_WIDTHS_US,
     LEVELS,
     format_times,
     make_axis_bits,
@@ -29,7 +29,7 @@ HOME_STATES = {
 }  # fmt: skip
 """Meanings of the field HMST of RR2, the state of the home search."""
 
-DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)
+FILTER_DELAYS_US = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)
 """Delays of the input filters, us, by the field FL of WR3."""
 
 
@@ -37,7 +37,7 @@ def _make_home_fields(shift: int = 0) -> tuple[Field, ...]:
     """Return the fields of the home search: those of HM, or with `shift` 16 those of the word in WR7 of EM."""
     ways = ("+", "-")
     meaning = (
-        make_bits("DCCW", 15, 13, "DCC width", "I", values=format_times(DCC_WIDTHS)),
+        make_bits("DCCW", 15, 13, "DCC width", "I", values=format_times(DCC_WIDTHS_US)),
         make_bit("DCC-L", 12, "DCC pulse", "I", values=("high", "low")),
         make_bit("DCC-E", 11, "DCC output at the end of the search", "I"),
         make_bit("LIMIT", 10, "steps 1 and 2 search the limit of their direction", "I"),
@@ -59,12 +59,12 @@ HM = Register(
     "HM", 0x60, 16, "W", "automatic home search", None, _make_home_fields(), "I", reset=0,
     note="the layout is that of WR7 for command 60h of the MCX314As",
 )  # fmt: skip
-_DELAYED = tuple(f"{us} us" for us in DELAYS)
+_FILTER_DELAY_TEXTS = tuple(f"{us} us" for us in FILTER_DELAYS_US)
 EM = Register(
     "EM", 0x60, 32, "W", "extension mode", None,
     (
         *(replace(f, evidence="C") for f in _make_home_fields(16)),
-        make_bits("FL", 15, 13, "delay of the filters", values=_DELAYED, note="2 is 512 us, the others [I]"),
+        make_bits("FL", 15, 13, "delay of the filters", values=_FILTER_DELAY_TEXTS, note="2 is 512 us, the others [I]"),
         make_bit("FE4", 12, "filter of STOP3", "M"),
         make_bit("FE3", 11, "filter of EXP+, EXP-", "M"),
         make_bit("FE2", 10, "filter of INPOS, ALARM"),
@@ -146,7 +146,7 @@ _WRITE_WORDS = (
         make_bit("FE2", 10, "filter of INPOS, ALARM"),
         make_bit("FE3", 11, "filter of EXP+, EXP-", note="which inputs [M]"),
         make_bit("FE4", 12, "filter of the other inputs", note="which inputs [M]"),
-        make_bits("FL", 15, 13, "delay of the filters", values=tuple(f"{us} us" for us in DELAYS),
+        make_bits("FL", 15, 13, "delay of the filters", values=tuple(f"{us} us" for us in FILTER_DELAYS_US),
                   note="2 is 512 us, the others [I]"),
         note="of the selected axes",
     ),
@@ -264,7 +264,7 @@ def _make_mcx314as_words() -> tuple[Word, ...]:
              make_bits("OUT", 11, 8, "OUT7 to OUT4"), note="of the selected axes"),
         make_word(
             "WR5", "interpolation mode",
-            *(make_bits(f"AX{k + 1}", 2 * k + 1, 2 * k, text, values=tuple(AXES))
+            *(make_bits(f"AX{k + 1}", 2 * k + 1, 2 * k, text, values=tuple(AXIS_LETTERS))
               for k, text in enumerate(("main axis", "second axis", "third axis"))),
             make_bits("LSPD", 9, 8, "constant vector speed", legal=(0, 3),
                       values={0: "off", 1: "two axes", 2: "none", 3: "three axes"}),
@@ -302,8 +302,11 @@ def list_words(axes: int, interpolates: bool) -> tuple[Word, ...]:
         inputs = (_make_input_word_of_one("RR4", "X"), _make_input_word_of_one("RR5", "Y"))
     else:
         inputs = (_make_input_word_of_two("RR4", "X", "Y"), _make_input_word_of_two("RR5", "Z", "U"))
-    outputs = (make_bits(f"{a}-OUT", 4 * k + 3, 4 * k, f"OUT3 to OUT0 of {a}") for k, a in enumerate(AXES[:axes]))
+    outputs = (
+        make_bits(f"{a}-OUT", 4 * k + 3, 4 * k, f"OUT3 to OUT0 of {a}") for k, a in enumerate(AXIS_LETTERS[:axes])
+    )
     return (
-        *_WRITE_WORDS, make_word("WR4", "general outputs", outputs), _INTERPOLATION if interpolates else _NOT_USED, *DATA_WRITTEN,
-        *(BIT_PATTERN if interpolates else ()), _make_main_status_word(axes, interpolates), *_READ_WORDS, *inputs, *DATA_READ,
+        *_WRITE_WORDS, make_word("WR4", "general outputs", outputs), _INTERPOLATION if interpolates else _NOT_USED,
+        *DATA_WRITE_WORDS,
+        *(BIT_PATTERN if interpolates else ()), _make_main_status_word(axes, interpolates), *_READ_WORDS, *inputs, *DATA_READ_WORDS,
     )  # fmt: skip

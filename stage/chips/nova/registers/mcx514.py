@@ -13,9 +13,9 @@ from stage.chips.nova.registers.mcx514_words import list_mode_registers, list_wo
 from stage.chips.register_map import ChipCommand, Field, Register, RegisterMap, make_read_command, make_write_command
 
 JERK, RATE, SPEED = (1, 1_073_741_823), (1, 536_870_911), (1, 8_000_000)
-POINT = (-1_073_741_823, 1_073_741_823)
+COORDINATE_RANGE_PULSES = (-1_073_741_823, 1_073_741_823)
 """Legal range of TP in interpolation, and of CP."""
-CONTINUOUS_SPEED = 4_000_000
+MAX_CONTINUOUS_PPS = 4_000_000
 """Highest drive speed in continuous interpolation, pps."""
 NO_MAXIMUM = 0xFFFF_FFFF
 """Value of LX and RX with which a position counter does not wrap at a maximum."""
@@ -24,7 +24,7 @@ READ_CODES = {
     "P1M": 0x41, "P2M": 0x42, "P3M": 0x49, "AC": 0x43, "SV": 0x44, "DV": 0x45, "TP": 0x46, "SP1": 0x47,
 }  # fmt: skip
 """Codes of the commands that read back a register, by the name of the register."""
-NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
+CHIP_REGISTER_NAMES = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
 """Registers of the chip, not of an axis: their commands carry no axis bits."""
 
 
@@ -50,11 +50,12 @@ PARAMETERS = (
     _make_parameter(0x04, "SV", "initial speed", SPEED, "pps", 1),
     _make_parameter(0x05, "DV", "drive speed", SPEED, "pps", 1, note="can be changed while driving"),
     _make_parameter(0x06, "TP", "drive pulse number", (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True,
-               note=f"or finish point (interpolation: {POINT[0]} to {POINT[1]}), or bit pattern; the other way stops a drive [I]",
+               note=f"or finish point (interpolation: {COORDINATE_RANGE_PULSES[0]} to {COORDINATE_RANGE_PULSES[1]}), "
+               "or bit pattern; the other way stops a drive [I]",
                section="7.2.7"),
     _make_parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD",
                section="7.2.8"),
-    _make_parameter(0x08, "CP", "circular center", POINT, "pulses", signed=True, note="relative"),
+    _make_parameter(0x08, "CP", "circular center", COORDINATE_RANGE_PULSES, "pulses", signed=True, note="relative"),
     _make_parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
     _make_parameter(0x0A, "RP", "real position counter", None, "pulses", signed=True),
     _make_parameter(0x0B, "SP", "software limit +", None, "pulses", signed=True),
@@ -75,7 +76,7 @@ PARAMETERS = (
     _make_parameter(0x1B, "HLV", "helical calculation value", (1, 2_147_483_646), reset=1,
                note="ticks, each of one pulse of Z and U at most [I]"),
 )  # fmt: skip
-PRESENT = (
+READ_ONLY_REGISTERS = (
     Register("CV", 0x32, 32, "R", "current speed", evidence="S", unit="pps"),
     Register("CA", 0x33, 32, "R", "current acceleration / deceleration", evidence="C", unit="pps/s"),
     Register("CT", 0x38, 32, "R", "current timer value", evidence="D", unit="us", note="0 while it is stopped"),
@@ -85,16 +86,21 @@ PRESENT = (
     ),
 )
 """Registers that a host can only read."""
-_PAGES = {"DV": "S", "TX": "D"}
+_READ_COMMAND_EVIDENCE = {"DV": "S", "TX": "D"}
 
 
 def _make_read_commands(registers: tuple[Register, ...]) -> tuple[ChipCommand, ...]:
     """Return the commands 30h to 49h, by which a host reads registers of the chip or of an axis."""
-    present = {r.name for r in PRESENT}
+    present = {r.name for r in READ_ONLY_REGISTERS}
     back = [r for r in registers if r.name in READ_CODES]
     found = [
-        *(make_read_command(r, READ_CODES[r.name], _PAGES.get(r.name, "C"), axes=r.name not in NO_AXIS) for r in back),
-        *(make_read_command(r, axes=r.name not in NO_AXIS) for r in registers if r.name in present),
+        *(
+            make_read_command(
+                r, READ_CODES[r.name], _READ_COMMAND_EVIDENCE.get(r.name, "C"), axes=r.name not in CHIP_REGISTER_NAMES
+            )
+            for r in back
+        ),
+        *(make_read_command(r, axes=r.name not in CHIP_REGISTER_NAMES) for r in registers if r.name in present),
         *(ChipCommand(0x3C + k, f"R-WR{k}", f"read WR{k}", "data read", 2, evidence="C") for k in (1, 2, 3)),
     ]
     return tuple(sorted(found, key=lambda c: c.code))
@@ -126,7 +132,7 @@ def _make_sync_command(code: int, symbol: str, verb: str) -> ChipCommand:
     return ChipCommand(code, symbol, verb, "sync", evidence="C", choice=0x0F, note=note, chooses=chooses)
 
 
-_ACTIONS = (
+_DATALESS_COMMANDS = (
     _make_drive_command(0x50, "DRVRL", "relative position drive", True),
     _make_drive_command(0x51, "DRVNR", "counter relative position drive", True, "the sign of TP inverted"),
     _make_drive_command(0x52, "DRVVP", "+ direction continuous drive", True),
@@ -180,7 +186,7 @@ _NEEDS_HELICES = ("HLN", "HLV", "CHLN", "HLCW", "HLCCW", "HLPCW", "HLPCCW")
 def _make_register_map(chip: str, axes: int, title: str) -> RegisterMap:
     """Return the register map of the MCX514, MCX512 or MCX501 by the number of axes."""
     lacks = {*(_NEEDS_HELICES if axes < 3 else ()), *(_NEEDS_INTERPOLATION if axes < 2 else ())}
-    registers = tuple(r for r in (*PARAMETERS, *list_mode_registers(axes), *PRESENT) if r.name not in lacks)
+    registers = tuple(r for r in (*PARAMETERS, *list_mode_registers(axes), *READ_ONLY_REGISTERS) if r.name not in lacks)
 
     def is_on_chip(c: ChipCommand) -> bool:
         if c.symbol in lacks or (c.kind == "interpolation" and axes < 2):
@@ -188,13 +194,21 @@ def _make_register_map(chip: str, axes: int, title: str) -> RegisterMap:
         return not c.together or min(c.together) <= axes
 
     modes_of = {r.name for r in list_mode_registers(axes)}
-    present = {r.name for r in PRESENT}
+    present = {r.name for r in READ_ONLY_REGISTERS}
     commands = (
-        *(make_write_command(r, axes=r.name not in NO_AXIS) for r in registers if r.name not in modes_of | present),
+        *(
+            make_write_command(r, axes=r.name not in CHIP_REGISTER_NAMES)
+            for r in registers
+            if r.name not in modes_of | present
+        ),
         _make_command(0x1F, "NOP", "axis selection only"),
-        *(make_write_command(r, "mode write", axes=r.name not in NO_AXIS) for r in registers if r.name in modes_of),
+        *(
+            make_write_command(r, "mode write", axes=r.name not in CHIP_REGISTER_NAMES)
+            for r in registers
+            if r.name in modes_of
+        ),
         *_make_read_commands(registers),
-        *(c for c in _ACTIONS if is_on_chip(c)),
+        *(c for c in _DATALESS_COMMANDS if is_on_chip(c)),
     )
     return RegisterMap(
         chip,
@@ -210,5 +224,5 @@ def _make_register_map(chip: str, axes: int, title: str) -> RegisterMap:
 MCX514_MAP = _make_register_map("MCX514", 4, "with interpolation, four axes")
 MCX512_MAP = _make_register_map("MCX512", 2, "with interpolation, two axes")
 MCX501_MAP = _make_register_map("MCX501", 1, "of one axis")
-GENERATION = (MCX514_MAP, MCX512_MAP, MCX501_MAP)
+MCX514_GENERATION_MAPS = (MCX514_MAP, MCX512_MAP, MCX501_MAP)
 """What the two smaller ones lack, and P3M, are of working drivers [C]; that they are alike otherwise is inferred."""

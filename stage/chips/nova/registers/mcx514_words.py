@@ -6,10 +6,10 @@ Names of mode bits are those of the manual, from memory [M]; their positions are
 from __future__ import annotations
 
 from stage.chips.nova.registers.field_builders import (
-    AXES,
-    DATA_READ,
-    DATA_WRITTEN,
-    DCC_WIDTHS,
+    AXIS_LETTERS,
+    DATA_READ_WORDS,
+    DATA_WRITE_WORDS,
+    DCC_WIDTHS_US,
     LEVELS,
     format_times,
     make_axis_bits,
@@ -80,11 +80,11 @@ HOME_STATES = {
 }  # fmt: skip
 """Meanings of the field HSST of RR3 page 0, the state of the home search."""
 
-HOME_TIMES = (1, 2, 10, 20, 100, 200, 500, 1000)
+HOME_TIMER_MS = (1, 2, 10, 20, 100, 200, 500, 1000)
 """Times of the timer between the steps of a home search, ms, by the field HTM of H2M."""
-SYNC_CLOCKS = (2, 5, 16, 64, 256, 1024, 4096, 16_000)
+SYNC_PULSE_CLOCKS = (2, 5, 16, 64, 256, 1024, 4096, 16_000)
 """Clocks that a sync pulse takes, by the field PW of P2M."""
-SYNC_WIDTHS = ("125 ns", "312 ns", *format_times(n // 16 for n in SYNC_CLOCKS[2:]))
+SYNC_WIDTHS = ("125 ns", "312 ns", *format_times(n // 16 for n in SYNC_PULSE_CLOCKS[2:]))
 FILTERS = tuple(f"{0.5 * 2**n:g} us" for n in range(16))
 
 
@@ -93,7 +93,7 @@ def _make_interpolation_mode(axes: int) -> Register:
     speeds = ("off", "two axes simple", "three axes simple", "two axes high accuracy")
     return _make_mode_register(
         0x2A, "IPM", "interpolation mode",
-        *(make_bit(f"{a}-EN", k, f"{a} takes part", note="the lowest is the main axis") for k, a in enumerate(AXES[:axes])),
+        *(make_bit(f"{a}-EN", k, f"{a} takes part", note="the lowest is the main axis") for k, a in enumerate(AXIS_LETTERS[:axes])),
         make_bit("CXIV", 4, "the two axes of circular interpolation are exchanged"),
         make_bits("SPD", 7, 6, "constant vector speed", values=speeds),
         make_bit("LMDF", 8, "short-axis pulse equalization"),
@@ -105,7 +105,7 @@ def _make_interpolation_mode(axes: int) -> Register:
     )  # fmt: skip
 
 
-MODES = (
+MODE_REGISTERS = (
     _make_mode_register(
         0x20, "MRM", "multi-purpose register mode",
         *(make_bits(f"M{m}T", 4 * m + 1, 4 * m, f"MR{m} is compared with", values=("LP", "RP", "CV", "CT")) for m in range(4)),
@@ -145,9 +145,9 @@ MODES = (
         make_bit("RCLR", 1, "RP is cleared at the end"),
         make_bit("LCLR", 2, "LP is cleared at the end"),
         make_bit("DCPL", 3, "DCC pulse", "?", values=("high", "low")),
-        make_bits("DCP", 6, 4, "DCC width", values=format_times(DCC_WIDTHS)),
+        make_bits("DCP", 6, 4, "DCC width", values=format_times(DCC_WIDTHS_US)),
         make_bit("HTME", 7, "timer between steps"),
-        make_bits("HTM", 10, 8, "timer", values=tuple(f"{ms} ms" for ms in HOME_TIMES)),
+        make_bits("HTM", 10, 8, "timer", values=tuple(f"{ms} ms" for ms in HOME_TIMER_MS)),
     ),
     _make_mode_register(
         0x25, "FLM", "input signal filters",
@@ -169,8 +169,8 @@ def list_mode_registers(axes: int) -> tuple[Register, ...]:
     A chip with one axis does not interpolate, a chip with two axes has more PIO pins.
     """
     if axes == 4:
-        return MODES
-    kept = [r for r in MODES if r.name not in ("IPM", *(f"S{m}M" for m in range(4)))]
+        return MODE_REGISTERS
+    kept = [r for r in MODE_REGISTERS if r.name not in ("IPM", *(f"S{m}M" for m in range(4)))]
     more = [_make_sync_mode(m, axes) for m in range(4)]
     if axes == 2:
         directions = (make_bit(f"P{i}D", i - 8, f"PIO{i}", values=("input", "output")) for i in range(8, 14))
@@ -206,7 +206,7 @@ def _make_port_word(name: str, title: str, low: str, high: str) -> Word:
     return make_word(name, title, fields)
 
 
-_FOUR = (
+_FOUR_AXIS_WORDS = (
     make_word(
         "WR0", "command register; on the 8-bit bus the low byte, written last, triggers",
         make_bits("zero", 15, 12, "must be 0", legal=(0, 0)),
@@ -247,7 +247,7 @@ _FOUR = (
         make_bit("TMMD", 14, "timer", values=("once", "repeatedly")),
         access="RW", note="of the selected axes",
     ),
-    *DATA_WRITTEN,
+    *DATA_WRITE_WORDS,
     make_word("RR1", "interrupt factors of the selected axis; reading clears them", _make_event_bits()),
     make_word(
         "RR2", "errors (bits 7 to 0) and finishing status of the selected axis; 79h clears them",
@@ -283,7 +283,7 @@ _FOUR = (
         make_bit("SPLIT", 11, "split pulses run"),
         make_bit("MCERR", 12, "multichip interpolation error"),
     ),
-    *DATA_READ,
+    *DATA_READ_WORDS,
 )  # fmt: skip
 """The words that chips with one, two and four axes share."""
 
@@ -333,5 +333,5 @@ def _make_port_words(axes: int) -> tuple[Word, ...]:
 
 def list_words(axes: int) -> tuple[Word, ...]:
     """Return the words WR0 to WR7 and RR0 to RR7 of the MCX501, MCX512 or MCX514 by the number of axes."""
-    found = {w.name: w for w in (*_FOUR, _make_status_word(axes), *_make_port_words(axes))}
+    found = {w.name: w for w in (*_FOUR_AXIS_WORDS, _make_status_word(axes), *_make_port_words(axes))}
     return tuple(found[n] for n in sorted(found, key=lambda n: (n[0] != "W", n)))

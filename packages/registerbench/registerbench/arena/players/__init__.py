@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from registerbench.arena.players import diagnosis_technician, formula_and_random, rate_searches, trained_policy
-from registerbench.arena.suite_runner import GuardedPlayer, Player
+from registerbench.arena.suite_runner import GamePlayer, GuardedPlayer
 from registerbench.policies import import_attribute
 from stage.errors import ArgumentError, unknown_name_error
 
-SHIPPED_PLAYERS: dict[str, Callable[[], Player]] = {
+SHIPPED_PLAYERS: dict[str, Callable[[], GamePlayer]] = {
     "formula": lambda: formula_and_random.play_formula,
     "random": formula_and_random.RandomPlayer,
     "coordinate": lambda: rate_searches.search_by_coordinate,
@@ -20,7 +20,7 @@ SHIPPED_PLAYERS: dict[str, Callable[[], Player]] = {
 """Functions that make each shipped player, by name."""
 
 
-def make_player(name: str) -> Player:
+def make_game_player(name: str) -> GamePlayer:
     """Make the player with this name. Raises ArgumentError."""
     if name in SHIPPED_PLAYERS:
         return SHIPPED_PLAYERS[name]()

@@ -28,7 +28,7 @@ DIAGNOSTIC_SIGNS = (
 def play_technician(session: GameSession) -> None:
     """Diagnose and repair a broken set-up; in an episode of a task, do what the formula does."""
     if "program" in {t["name"] for t in session.tools}:
-        Technician(session).work()
+        Technician(session).repair_setup()
     else:
         play_formula(session)
 
@@ -44,7 +44,7 @@ class Technician:
         self.stops_mm = [float(place) + (self.start_mm if frame else 0.0) for place in places.split(",")]
         self.causes: list[str] = []
 
-    def work(self) -> None:
+    def repair_setup(self) -> None:
         """Find and repair what is wrong, answer, and finish."""
         places, end = self.run(self.program)
         diagnostics = self.session.call("diagnostics").text

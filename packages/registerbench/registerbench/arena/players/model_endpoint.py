@@ -18,7 +18,7 @@ RETRIED_STATUS_CODES = (429, 500, 502, 503, 504)
 MAX_ATTEMPTS = 4
 MAX_SILENT_REPLIES = 3  # replies without a call, after which the game is left
 MAX_REPLY_BYTES = 16 << 20  # bytes of a reply
-RULES = "You act by calling tools, and by nothing else. Read each answer before the next call. The task:\n\n"
+PROMPT_RULES = "You act by calling tools, and by nothing else. Read each answer before the next call. The task:\n\n"
 
 
 class EndpointPlayer:
@@ -46,7 +46,7 @@ class EndpointPlayer:
 
     def __call__(self, session: GameSession) -> None:
         """Play a game. Raises StageError if the endpoint does not answer as chat completions do."""
-        messages: list[dict[str, Any]] = [{"role": "user", "content": RULES + session.task}]
+        messages: list[dict[str, Any]] = [{"role": "user", "content": PROMPT_RULES + session.task}]
         tools = [{"type": "function", "function": tool} for tool in session.tools]
         silent_replies = 0
         while not session.over and silent_replies < MAX_SILENT_REPLIES:

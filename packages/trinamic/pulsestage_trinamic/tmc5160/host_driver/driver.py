@@ -18,7 +18,7 @@ from pulsestage_trinamic.tmc5160.encoder import DECIMAL
 from pulsestage_trinamic.tmc5160.host_driver import homing
 from pulsestage_trinamic.tmc5160.host_driver.homing import MIN_VSTOP, STOP_AT_SWITCHES
 from pulsestage_trinamic.tmc5160.host_driver.straight_lines import RAMP_REGISTERS, ProportionalLine
-from pulsestage_trinamic.tmc5160.maps import M32, NUMBER
+from pulsestage_trinamic.tmc5160.maps import M32, REGISTER_NUMBERS
 from pulsestage_trinamic.tmc5160.power_stage import FULL_SCALE_V
 from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import is_sensor_inverted
@@ -37,7 +37,7 @@ from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations
 
-CHOPCONF = 0x100100C3
+DEFAULT_CHOPCONF = 0x100100C3
 """SpreadCycle as in the data sheet's example, with interpolation: TOFF 3, HSTRT 4, HEND 1, TBL 2, MRES 0."""
 ROTOR_SETTLING_TIME_S = 0.05  # after power-on, until the rotor rests at the position of the field
 IHOLDDELAY, TPOWERDOWN = 6, 10
@@ -147,7 +147,7 @@ class Tmc5160Driver(Driver):
             name: Name of the register, for example "VMAX".
             value: Signed or unsigned value of up to 32 bits.
         """
-        self.chip.write(NUMBER[name], value & M32)
+        self.chip.write(REGISTER_NUMBERS[name], value & M32)
 
     def read_register(self, name: str) -> int:
         r = self.chip.MAP.register(name)
@@ -189,7 +189,7 @@ class Tmc5160Driver(Driver):
 
     def compute_switch_on_registers(self) -> dict[str, int]:
         """Compute the registers that switch the power stage on."""
-        return {**self.compute_axis_current_registers(), "CHOPCONF": CHOPCONF}
+        return {**self.compute_axis_current_registers(), "CHOPCONF": DEFAULT_CHOPCONF}
 
     def _write_switch_on_registers(self, program: Operations) -> None:
         for name, value in self.compute_switch_on_registers().items():

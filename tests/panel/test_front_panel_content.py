@@ -7,7 +7,7 @@ import pytest
 from stage import units
 from stage.chips import CHIPS, HCTL1100, MCX514, PCL240K, PCL240MS
 from stage.errors import ArgumentError
-from stage.panel.register_text import (
+from stage.panel.front_panel_content import (
     BusCycle,
     FrontPanel,
     describe_lamp,

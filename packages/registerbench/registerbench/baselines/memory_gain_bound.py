@@ -1,7 +1,7 @@
 """Upper limit of the worth of memory on FewShotTuning: every machine is tried at every speed factor, and hosts play on that table.
 
-python -m registerbench.baselines.memory_worth_bound
-python -m registerbench.baselines.memory_worth_bound --tasks few-shot-wide --machines 128
+python -m registerbench.baselines.memory_gain_bound
+python -m registerbench.baselines.memory_gain_bound --tasks few-shot-wide --machines 128
 
 The hosts play on a table of outcomes_by_speed_factor.py, with machines of the split train:
 knows     knows the best speed factor of each machine: no host can be better
@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from registerbench.baselines import explain_interrupt
+from registerbench.baselines import exit_on_interrupt
 from registerbench.baselines.outcomes_by_speed_factor import (
     SPEED_FACTORS,
     OutcomesBySpeedFactor,
@@ -30,7 +30,7 @@ from registerbench.baselines.parametric_policies import ATTEMPTS, RememberingPol
 FIRST_SEED, STARTS = 2000, 6
 
 
-def search_blindly(table: OutcomesBySpeedFactor) -> float:
+def search_fixed_sequence(table: OutcomesBySpeedFactor) -> float:
     """Search for the best fixed sequence of attempts by coordinate search from STARTS random sequences.
 
     Returns:
@@ -71,11 +71,11 @@ def main() -> None:
             ).mean()
             print(
                 f"| {task} | {'the last try' if last else 'the best try'} | {table.worth.max(axis=0).mean():.3f} "
-                f"| {search_blindly(table):.3f} | {remembering:.3f} |",
+                f"| {search_fixed_sequence(table):.3f} | {remembering:.3f} |",
                 flush=True,
             )
 
 
 if __name__ == "__main__":
-    with explain_interrupt("the rows above are complete; nothing else is saved."):
+    with exit_on_interrupt("the rows above are complete; nothing else is saved."):
         main()

@@ -20,7 +20,7 @@ from stage.chips.register_map import EVIDENCE, Field, Register, Word
 from stage.errors import ArgumentError, find_similar_names
 from stage.units import INTEGER_PATTERN, MAX_INTEGER_LENGTH, parse_integer
 
-BY_ROWS = ("data write", "mode write")
+ROW_COMMAND_KINDS = ("data write", "mode write")
 """Kinds of commands that the row of a register sends when a user writes its value."""
 
 
@@ -89,7 +89,7 @@ class FrontPanel:
     def _list_buttons_of_commands(self) -> Iterator[tuple[str, CommandButton]]:
         """Yield group and button of each command of the register map, except those that the row of a register sends."""
         for c in self.map.commands:
-            if c.kind in BY_ROWS:
+            if c.kind in ROW_COMMAND_KINDS:
                 continue
             if c.choice:
                 for k, name in enumerate(c.chooses):
@@ -214,7 +214,7 @@ R14.linear <- 1 one field of it, the others stay
 R1              what it holds, without a bus cycle
 operate 15h     a command or a word by its name, with its data
 help R1         what the map says of a name; up and down arrow: lines before; Tab completes names"""
-ASSIGN = re.compile(r"([^\s<=]+)\s*(?:<-|=)\s*(.*)")
+ASSIGNMENT_PATTERN = re.compile(r"([^\s<=]+)\s*(?:<-|=)\s*(.*)")
 
 
 class BusCycle(NamedTuple):
@@ -264,7 +264,7 @@ def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, 
         raise ArgumentError("nothing to do: `help` lists what can be written here.")
     if first.lower() == "help":
         return ConsoleCommand((), _describe_name(kind, rest.strip()))
-    if match := ASSIGN.fullmatch(line):
+    if match := ASSIGNMENT_PATTERN.fullmatch(line):
         return _parse_assignment(kind, match[1], match[2], axis, values)
     if first.lower() == "read":
         if not rest.strip():
