@@ -239,7 +239,7 @@ def test_a_stage_placed_on_an_index_mark_shows_its_chip_the_shaft_first(xyz):
     assert y.pins.index
     journal.close()
     lone = HCTL1100()
-    lone._rows[0] = journal.start
+    lone._rows[0] = journal.start_state
     for e in journal.entries:
         e.apply(lone.CORE, lone._rows)
     assert int(lone.state["ring_origin"]) == int(y.chip.state["ring_origin"]) == y.chip.encoder
@@ -255,11 +255,11 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
     assert x.chip.read(0x14) == x.chip.values()["R14"]
     journal.close()
     lone = HCTL1100()
-    lone._rows[0] = journal.start
+    lone._rows[0] = journal.start_state
     for e in journal.entries:
         lone.advance(e.clock - lone.clock)
         e.apply(lone.CORE, lone._rows)
-    lone.advance(journal.until - lone.clock)
+    lone.advance(journal.end_clock - lone.clock)
     distance = {"drive_integral"}
     for field in lone.state.dtype.names:
         assert field in distance or np.array_equal(lone.state[field], x.chip.state[field]), field
@@ -278,11 +278,11 @@ def test_a_replay_equals_a_chip_that_receives_the_shaft_step_by_step(xyz, every_
     xyz.place(x=find_switch_position(x, "el_plus") - 1e-4)
     xyz.run(0.0300001)
     journal.close()
-    core, rows = HCTL1100.CORE, np.frombuffer(bytearray(journal.start.tobytes()), HCTL1100.CORE.STATE)
+    core, rows = HCTL1100.CORE, np.frombuffer(bytearray(journal.start_state.tobytes()), HCTL1100.CORE.STATE)
     out, k = np.zeros(20_000, core.EDGE), 1
     core.write_present_edge(rows, 0, out, 0)
     for e in (*journal.entries, None):
-        k += core.scan_edges(rows, journal.until if e is None else e.clock, every_pulse, 0, out[k:])
+        k += core.scan_edges(rows, journal.end_clock if e is None else e.clock, every_pulse, 0, out[k:])
         if e is not None:
             e.apply(core, rows)
         if e is None or e.kind != SHAFT:

@@ -74,11 +74,11 @@ def start_all_axes(stage):
 def replay_on_bench(journal, cls):
     """The pulses that a chip on the bench makes under what reached the chip of a stage."""
     lone, traces = cls(), []
-    lone._rows[0] = journal.start
+    lone._rows[0] = journal.start_state
     for e in journal.entries:
         traces.append(lone.trace(e.clock - lone.clock))
         e.apply(lone.CORE, lone._rows)
-    return np.concatenate([*traces, lone.trace(journal.until - lone.clock)])
+    return np.concatenate([*traces, lone.trace(journal.end_clock - lone.clock)])
 
 
 ARRANGEMENTS = [MCX514, MCX304, MCX302, MIXED, {"z": MCX312, "x": MCX312, "y": PCL240K}, HCTL1100, ALL]

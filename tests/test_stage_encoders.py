@@ -180,11 +180,11 @@ def test_a_journal_brings_a_chip_on_the_bench_to_the_same_state(fed):
     fed.place(y=0.02)
     fed.run(0.003)
     journal.close()
-    lone = x.chip.make_replica(journal.start.tobytes())
+    lone = x.chip.make_replica(journal.start_state.tobytes())
     for e in journal.entries:
         lone.CORE.run(lone._rows, e.clock)
         e.apply(lone.CORE, lone._rows)
-    lone.CORE.run(lone._rows, journal.until)
+    lone.CORE.run(lone._rows, journal.end_clock)
     internal = {"pulse_clock_sum", "recent_net", "first_pulse_clock"}
     for field in lone.state["ax"].dtype.names:
         assert field in internal or np.array_equal(lone.state["ax"][field], x.chip.state["ax"][field]), field

@@ -21,7 +21,7 @@ def command(chip, code, value=0, axes=1):
 def replayed(chip, journal, observed=lambda replica: None):
     """A chip that lived through `journal`, and what `seen` said of it before each read and at the end."""
     core, replica = chip.CORE, type(chip)(**chip.options())
-    replica._rows[0], message = journal.start, []
+    replica._rows[0], message = journal.start_state, []
     for e in journal.entries:
         replica.advance(e.clock - replica.clock)
         if e.kind == READ:

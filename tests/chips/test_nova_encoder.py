@@ -150,11 +150,11 @@ def test_a_journal_a_snapshot_and_a_copy_go_on_with_the_encoders_of_all_axes():
         assert edges["inputs"][-1] == chip.input_word(1)
     assert len(edges) > 10, "every edge of ECA and ECB is in the course"
     lone = MCX514()
-    lone._rows[0] = journal.start
+    lone._rows[0] = journal.start_state
     for e in journal.entries:
         lone.advance(e.clock - lone.clock)
         e.apply(lone.CORE, lone._rows)
-    lone.advance(journal.until - lone.clock)
+    lone.advance(journal.end_clock - lone.clock)
     for other in (lone, *others):
         other.advance(1234)
     chip.advance(1234)

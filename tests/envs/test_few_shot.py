@@ -10,7 +10,7 @@ import stage.envs  # noqa: F401
 from stage import ArgumentError, Stage
 from stage.envs import machine_contexts
 from stage.envs.few_shot import Config, FewShotTuning, make_action
-from stage.envs.step_results import DIVERGED
+from stage.envs.step_results import DIVERGENCE_REWARD
 from stage.firmware.parameter_ranges import get_register_range
 
 USUAL = make_action(1000, 16_000, 0.15, 0.15)
@@ -121,7 +121,7 @@ def test_no_move_gains_more_than_the_deposit_of_its_episode(distance):
     start, top, up, down = task.decode_action(WILD, distance)
     fastest = up + down + (distance - (up + down) * (start + top) / 2) / top
     assert task._compute_value(np.array([fastest])) < task._deposit
-    assert task._deposit < -DIVERGED, "to diverge is no way out"
+    assert task._deposit < -DIVERGENCE_REWARD, "to diverge is no way out"
     task.close()
 
 

@@ -233,13 +233,13 @@ def test_copies_snapshots_and_journals_continue_to_the_same_bits(x):
     journal.close()
     edges = journal.replay_waveforms(every_pulse=True).edges
     a = (edges["inputs"] & x.chip.INPUTS["enca"] != 0).astype(int)
-    lone = x.chip.make_replica(journal.start.tobytes())
+    lone = x.chip.make_replica(journal.start_state.tobytes())
     for e in journal.entries:
         lone.CORE.run(lone._rows, e.clock)
         e.apply(lone.CORE, lone._rows)
-    lone.CORE.run(lone._rows, journal.until)
+    lone.CORE.run(lone._rows, journal.end_clock)
     assert lone.state.tobytes() == x.chip.state.tobytes()
-    counted = x.chip.values()["X_ENC"] - int(journal.start["enc"])
+    counted = x.chip.values()["X_ENC"] - int(journal.start_state["enc"])
     assert counted > 25
     assert abs(np.diff(a)).sum() == pytest.approx(counted / 2, abs=2)
     stage.restore(before)

@@ -12,7 +12,7 @@ class JournalReplay:
     def __init__(self, chip, host):
         self.chip, self.host = chip, host
         self.journal, self.lone = chip.journal(), type(chip)(**chip.options())
-        self.lone._rows[0] = self.journal.start
+        self.lone._rows[0] = self.journal.start_state
         self._applied = 0
         self._ignored_fields = getattr(host, "FOR_A_STAGE", ())
         assert set(self._ignored_fields) <= set(list_state_fields(chip))

@@ -31,7 +31,7 @@ from typing import Any
 
 import registerbench
 from registerbench import entry_checks, score_statistics
-from registerbench.baselines import explain_interrupt, oracle
+from registerbench.baselines import exit_on_interrupt, oracle
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.benchmark_tasks import OPEN_ROUND
 from registerbench.package_versions import list_versions
@@ -377,7 +377,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         metavar="N",
         help="runs of each learner that are trained again (default: 1)",
     )
-    with explain_interrupt("the finished jobs are saved, and the same command continues after them."):
+    with exit_on_interrupt("the finished jobs are saved, and the same command continues after them."):
         make_tables(parser.parse_args(arguments))
 
 
