@@ -79,7 +79,7 @@ def record_film(session: Session, panel: Panel) -> None:
     session.reset()
     session.paused = True
     driver = open_browser(panel.address, FILM)
-    move = session.queue_action("line", lambda stage: firmware.line({"x": 0.06, "y": 0.03}, stage.axes))
+    move = session.act("line", lambda stage: firmware.line({"x": 0.06, "y": 0.03}, stage.axes))
     frames, steps = [], round(BETWEEN * 1e9 / session.stage.state.dt)
     for _ in range(FRAMES):
         begin = session.stage.now

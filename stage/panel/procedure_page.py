@@ -152,7 +152,7 @@ class ProcedureOutcomes:
         self.set_outcome(form, f"{title} ...")
         rewinds = self._rewinds
         try:
-            report = await asyncio.wrap_future(self._session.queue_action(title, action))
+            report = await asyncio.wrap_future(self._session.act(title, action))
         except ActionStopped:
             is_undone = self._rewinds != rewinds
             self.set_outcome(form, "" if is_undone else f"{title}: stopped.", was_stopped=not is_undone)

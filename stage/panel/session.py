@@ -167,7 +167,7 @@ class Session(StageThread):
             for future in waiting:
                 future.result()
 
-        return self.queue_action("stop", stop_all)
+        return self.act("stop", stop_all)
 
     # --- the program ---
 

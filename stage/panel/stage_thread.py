@@ -181,7 +181,7 @@ class StageThread:
             self._wake_worker()
         return future
 
-    def queue_action(self, name: str, run: Callable[[Stage], T]) -> Future[T]:
+    def act(self, name: str, run: Callable[[Stage], T]) -> Future[T]:
         """Have the worker call `run(stage)`, which lets time pass. Actions run one after the other.
 
         Args:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board.bus.host_record import ADVANCE_TO_TIME, HOST, IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES
+from stage.board.bus.host_record import HOST, IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES, UNTIL
 from stage.native import array_at, declare_address_call, exported, hot, record
 from stage.sim.compiled_stage_access import INTEGER
 from stage.targets.processor_clock_and_bus_cycles import (
@@ -170,7 +170,7 @@ def _drive_lines(port, changed):
                 asserted |= line.mask
         if mask and line.last:  # together, because the direction counts before a step at the same cycle
             cpu = array_at(port.avr, 1, AVR)[0]
-            request(cpu, ADVANCE_TO_TIME, compute_time(cpu, get_cycle_count(cpu)), 0)
+            request(cpu, UNTIL, compute_time(cpu, get_cycle_count(cpu)), 0)
             request(cpu, SET_LINES, line.chip, mask << LINES_SHIFT | asserted)
             mask = asserted = 0
 

@@ -10,7 +10,7 @@ its bytes; the module of each processor states its numbers.
 
 from __future__ import annotations
 
-from stage.board.bus.host_record import ADVANCE_TO_TIME, HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, get_now
+from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, get_now
 from stage.native import array_at, declare_address_call, exported, greatest, hot, least, record
 from stage.sim.compiled_stage_access import INTEGER
 
@@ -178,7 +178,7 @@ def compute_time(cpu, cycles):
 @hot
 def advance_board(cpu, cycles):
     """Advance the board to the processor's time. Return 1 if the interrupt line is asserted and wired to the processor."""
-    return request(cpu, ADVANCE_TO_TIME, compute_time(cpu, cycles), cpu.watched)
+    return request(cpu, UNTIL, compute_time(cpu, cycles), cpu.watched)
 
 
 @hot
@@ -186,7 +186,7 @@ def make_bus_cycle(cpu, cycles, kind, port, value):
     """Make a bus cycle that ends when the processor has run a number of cycles; return the answer."""
     host = array_at(cpu.host, 1, HOST)[0]
     end = compute_time(cpu, cycles)
-    request(cpu, ADVANCE_TO_TIME, end - host.bus, 0)
+    request(cpu, UNTIL, end - host.bus, 0)
     answer = request(cpu, kind, port, value)
     cpu.waits += greatest(get_now(host) - end, 0)
     return answer

@@ -198,10 +198,10 @@ def test_actions_go_on_in_a_session_and_orders_begin_and_stop_them(stage):
     with Session(stage, speed=UNPACED_SPEED) as session:
         x = session.do(lambda stage: stage.axes["x"])
         action = session.do(lambda stage: firmware.begin_jog(x, 20e-3))
-        session.queue_action("wait", lambda stage: stage.run(0.3)).result(30)
+        session.act("wait", lambda stage: stage.run(0.3)).result(30)
         assert firmware.read_axis_state(x).is_moving
         stop = session.do(lambda stage: firmware.begin_stop(x))
-        session.queue_action("wait", lambda stage: stage.run_until(lambda: stop.is_done, 5.0)).result(30)
+        session.act("wait", lambda stage: stage.run_until(lambda: stop.is_done, 5.0)).result(30)
         assert action.was_cancelled
         assert not firmware.read_axis_state(x).is_moving
 

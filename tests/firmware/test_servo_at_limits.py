@@ -264,12 +264,12 @@ def test_a_stop_ends_a_drive_out_of_a_limit():
     x.switches.stick("el_plus", True)
     stage.run(1e-3)
     with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
-        left = session.queue_action("leave", lambda stage: leave_limit(ChipPort(x), -1, max_counts=10**9, timeout=1e6))
+        left = session.act("leave", lambda stage: leave_limit(ChipPort(x), -1, max_counts=10**9, timeout=1e6))
         session.paused = False
         wait_until(lambda: session.view.time > 0.05)
         assert x.chip.motor_command == -15
         session.stop_actions()
-        session.queue_action("stop", lambda stage: firmware.stop(stage.axes["x"])).result(20)
+        session.act("stop", lambda stage: firmware.stop(stage.axes["x"])).result(20)
         assert left.exception(20)
         assert x.chip.motor_command == 0
 
@@ -279,7 +279,7 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
     with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
-        line = session.queue_action("line", lambda stage: firmware.line({"x": 0.1, "y": 0.05}, stage, speed=0.01))
+        line = session.act("line", lambda stage: firmware.line({"x": 0.1, "y": 0.05}, stage, speed=0.01))
         session.paused = False
         wait_until(lambda: session.view.time > 0.3)
         assert session.stop_actions()

@@ -195,14 +195,14 @@ def test_the_panel_stops_a_move_of_a_servo_with_its_ramp():
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
     with Session(stage, speed=UNPACED_SPEED, paused=True) as session:
-        move = session.queue_action("move x", lambda stage: firmware.move(x, pulses=24_000, speed=0.05))
+        move = session.act("move x", lambda stage: firmware.move(x, pulses=24_000, speed=0.05))
         session.paused = False
         begin = time.monotonic()
         while session.view.time < 0.3:
             assert time.monotonic() - begin < 20
             time.sleep(1e-3)
         session.stop_actions()
-        at = session.queue_action("stop", lambda stage: (x.position, firmware.stop(stage.axes["x"]))).result(20)[0]
+        at = session.act("stop", lambda stage: (x.position, firmware.stop(stage.axes["x"]))).result(20)[0]
         assert isinstance(move.exception(20), StageError)
         session.paused = True
         ramp = braking_distance(10_000, Speeds(drive=10_000)) * COUNT

@@ -19,7 +19,7 @@ def page(served):
 @pytest.fixture(autouse=True)
 def _drawn_quickly(monkeypatch):
     """Patterns are drawn elsewhere: here they only say of what they are."""
-    monkeypatch.setattr("stage.panel.procedure_page.draw_operation_pattern", lambda report: f"<svg>{report}")
+    monkeypatch.setattr("stage.panel.procedure_page.render_operation_pattern_svg", lambda report: f"<svg>{report}")
 
 
 @pytest.fixture
@@ -377,7 +377,7 @@ def test_a_picture_is_of_the_report_that_it_was_drawn_of(served, page, session, 
             raise result
         return result
 
-    monkeypatch.setattr("stage.panel.procedure_page.draw_operation_pattern", picture)
+    monkeypatch.setattr("stage.panel.procedure_page.render_operation_pattern_svg", picture)
 
     def perform(name):
         outcome = SimpleNamespace(ok=True, name=name, plot=None)

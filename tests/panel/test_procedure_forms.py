@@ -302,7 +302,7 @@ def test_a_jog_from_an_end_limit_runs_in_the_other_direction_only(chips):
 def test_an_axis_runs_in_a_session_until_release():
     with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
         jog = Jog(session.stage.axes["x"], 1, {"speed": "10"})
-        future = session.queue_action("jog x", jog.run)
+        future = session.act("jog x", jog.run)
         session.paused = False
         while session.view.time < 0.5:
             pass

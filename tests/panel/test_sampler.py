@@ -250,7 +250,7 @@ def test_a_stage_without_axes_has_no_samples():
         axes={}, chips=[], model=SimpleNamespace(nq=0), state=state, loop=SimpleNamespace(recording=None)
     )
     session = SimpleNamespace(
-        stage=stage, do=lambda order: calls.append(order) or order(stage), call_after_slices=calls.append
+        stage=stage, do=lambda order: calls.append(order) or order(stage), call_after_pacing_intervals=calls.append
     )
     sampler = Sampler(session)
     assert (sampler.traces, calls, sampler.last_time) == ({}, [], -1.0)

@@ -57,7 +57,7 @@ def test_a_procedure_in_a_session_is_the_procedure_alone():
     alone = Stage("xy", visuals=False)
     expected = firmware.move(alone.axes["x"], distance=0.002)
     with Session(Stage("xy", visuals=False), speed=UNPACED_SPEED, paused=True) as session:
-        future = session.queue_action("move", lambda stage: firmware.move(stage.axes["x"], distance=0.002))
+        future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.002))
         assert not future.done()
         session.paused = False
         wait_until(lambda: session.do(lambda stage: future.done()) or session.view.action == "move")
@@ -361,7 +361,7 @@ def test_a_session_without_a_program_suspends_nothing():
         session.suspend_program()
         assert session.program_suspended
         session.paused = False
-        move = session.queue_action("wait", lambda stage: stage.run(1e6))
+        move = session.act("wait", lambda stage: stage.run(1e6))
         wait_until(lambda: session.view.action == "wait")
         session.resume_program()
         assert not session.program_suspended

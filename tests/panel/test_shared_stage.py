@@ -166,7 +166,7 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
 
         session.call_after_pacing_intervals(interrupt)
         try:
-            action = session.queue_action(name, lambda stage: PROCEDURES[name](x, y))
+            action = session.act(name, lambda stage: PROCEDURES[name](x, y))
             end = time.monotonic() + MAX_WAIT_S
             while not requested and not action.done():
                 assert time.monotonic() < end

@@ -225,7 +225,7 @@ def test_what_was_done_is_saved_under_its_name_as_what_it_says(served, session, 
     assert name == "panel.zip"
     assert {"panel.json", "now.snapshot"} <= set(zipfile.ZipFile(io.BytesIO(data)).namelist())
     monkeypatch.setattr(
-        "stage.panel.saved_panel.write_program", lambda panel, name: f"{name} of {panel is served.panel}"
+        "stage.panel.saved_panel.format_program", lambda panel, name: f"{name} of {panel is served.panel}"
     )
     names = {"save-program": "program.py", "save-c": "program.c", "save-test_program": "test_program.py"}
     for mark, name in names.items():

@@ -27,8 +27,8 @@ def test_each_step_waits_until_it_has_been_done(chips):
                 time.sleep(0.001)
 
         def act(order):
-            session.queue_action("an order", lambda stage: order(stage.axes["x"], stage)).result(60)
-            session.queue_action("a pause", lambda stage: stage.run(0.2)).result(60)
+            session.act("an order", lambda stage: order(stage.axes["x"], stage)).result(60)
+            session.act("a pause", lambda stage: stage.run(0.2)).result(60)
 
         waits_for("First pulse")
         act(lambda x, stage: firmware.move(x, distance=0.001))
@@ -68,7 +68,7 @@ class Slices:
         self.stage = stage
         stage.loop.pace = self.pace
 
-    def call_after_slices(self, look):
+    def call_after_pacing_intervals(self, look):
         self.looks = (look,)
         return lambda: setattr(self, "looks", ())
 
@@ -124,7 +124,7 @@ class Watched:
         axis.switches = SimpleNamespace(as_dict=lambda: {"org": axis.org, "el_plus": True})
         return axis
 
-    def call_after_slices(self, look):
+    def call_after_pacing_intervals(self, look):
         return lambda: None
 
     def passes(self, seconds, **rates):

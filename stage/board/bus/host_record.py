@@ -38,7 +38,7 @@ IN32, OUT32, WINDOW, NO_CYCLE, BEYOND_WINDOW = range(13, 18)
 faults: that an instruction (a: its STEP) touches a window (b: where), but is no bus cycle, or goes beyond the window."""
 LEVEL, RAISE = 18, 19
 """The processor's level (a; -1: unchanged), answered with the level before; a software interrupt (a: its number)."""
-ADVANCE_TO_TIME = 20
+UNTIL = 20
 """Emulated processors: advance the board to a time (a: ns of the stage); if `b`, answer whether the interrupt line then is
 asserted."""
 SET_LINES, READ_LINES = 21, 22
@@ -54,7 +54,7 @@ TAKE, PEEK, COUNT = range(3)
 WATCH_LINES = 26
 """Have the line of a chip (a) be asserted from now on while input pins of a mask (b) have other levels than now; answered with all
 levels. A host acknowledges a change by the same request."""
-READ_NANOSECONDS = 27
+NANOSECONDS = 27
 """The time (ns), without a bus cycle: for models of a microcontroller's timers in the firmware's own code."""
 WRONG_LEVEL = 64
 """Added to a refused request whose level is out of range."""

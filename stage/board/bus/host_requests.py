@@ -333,12 +333,12 @@ def _execute_time_request(host, code, a, b):
     elif code == host_record.MICROS:
         _let_poll_cycle_pass(host)
         return host_record.get_now(host) // 1000
-    elif code == host_record.READ_NANOSECONDS:
+    elif code == host_record.NANOSECONDS:
         return host_record.get_now(host)
     elif code == host_record.LINE:
         _let_poll_cycle_pass(host)
         return 1 if host_time.find_interrupt_mask(host) else 0
-    elif code == host_record.ADVANCE_TO_TIME:
+    elif code == host_record.UNTIL:
         host_time.advance_host(host, a)
         return 1 if b and host_time.find_interrupt_mask(host) else 0
     elif code == host_record.SETTLE:
