@@ -50,17 +50,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
 
+from stage.envs import bus_macros_core as core
 from stage.envs import machine_contexts, machine_faults
-from stage.envs.bus_macros_host import AXIS_STATE, EPISODE, SWITCHES, MacroHostTask
+from stage.envs.bus_macros_host import MacroHostTask
 from stage.envs.hidden_machine_task import MachineSettings
 from stage.envs.macro_programs import RATES, MacroTable
 from stage.envs.move_trials import compute_move_time
-from stage.envs.observation_features import HOST, TRUTH, Feature
+from stage.envs.observation_features import HOST, Feature
 from stage.envs.origin_switch import OriginSwitch
 from stage.envs.settings import (
     Boolean,
@@ -75,9 +76,8 @@ from stage.envs.settings import (
     Weight,
 )
 from stage.envs.stage_env import StageEnv, StageVectorEnv
-from stage.envs.step_results import SCORE_FEATURE, write_scores
+from stage.envs.step_results import DIVERGENCE_REWARD, SCORE_FEATURE
 from stage.errors import ArgumentError, unknown_name_error
-from stage.sim.fleet import PlayedPrograms
 from stage.support import portable_math
 
 LEVELS = ("move", "target", "axes", "origin")
@@ -143,22 +143,19 @@ class Config(MachineSettings):
 
 
 class BusMacros(MacroHostTask):
-    """Rules of stage/BusMacros-v1: how episodes begin, and how macros are judged. The module docstring states them."""
+    """Rules of stage/BusMacros-v1, whose steps run in compiled code (bus_macros_core.py). The module docstring states them."""
 
     Config = Config
     OPTIONS = ("level", "targets", *machine_contexts.RESET_OPTION_NAMES)
     """Options of a reset. level: 0 to 3, or a name; targets: {axis: signed pulses}; and values of the machine."""
-    PARTS = ("progress", "cost", "success", "damage", "failed")
+    PARTS = core.REWARD_PARTS
     STATE = ("context", "axis_states", "episodes")
+    CORE: ClassVar = core
+    STEPS_ARE_MOVES = True
     INFO = (
-        Feature("level", HOST, "level of the episode, 0 to 3", kind=int),
+        *core.INFO_FEATURES,
         Feature("action_mask", HOST, "int8, 1 for an action that has an effect", kind=np.int8),
         *machine_contexts.INFO_FEATURES,
-        Feature("elapsed", HOST, "s since the episode began", kind=float),
-        Feature("masked", HOST, "the action had no effect", kind=bool),
-        Feature("success", TRUTH, "every axis stands at its target", kind=bool),
-        Feature("error", TRUTH, "pulses, the largest of the axes' errors", kind=float),
-        Feature("lost_steps", TRUTH, "full steps, of all axes", kind=int),
         SCORE_FEATURE,
     )
 
@@ -176,15 +173,58 @@ class BusMacros(MacroHostTask):
         self.full_step = np.array([0.5 * np.pi / (_get_motor(a).rotor_teeth * a.gear) for a in self.axes])
         self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
         self.turn = np.array([2 * np.pi / (_get_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
-        self.switch_masks = [[a.chip.find_switch_input(pin) for pin in SWITCHES] for a in self.axes]
         self.read_nominal_machines()
         self.top = LEVELS.index(c.level)
         self.macro_table = MacroTable(self.axes, c.grid, c.patience, c.settle)
         self.names = self.macro_table.names
         self.action_space = gymnasium.spaces.Discrete(len(self.names))
-        self.observation_space = self.make_observation_space()
+        width = len(self.observation_features)
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.shapes = {"action_mask": (len(self.names),)}
-        self.episodes, self.axis_states = np.zeros(n, EPISODE), np.zeros((n, m), AXIS_STATE)
+        self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS_STATE)
+        self.make_step_arrays(len(first.axes), self.macro_table.programs.shape[1])
+        self._homed, self._valid = np.zeros(n, bool), np.zeros(n, bool)
+        self._lasts = np.isin(self.macro_table.kinds, (core.HOME, core.WAIT))
+        self._machine_numbers = np.zeros((n, len(machine_contexts.OBSERVATION_FEATURES)))
+        self._fill_rule_records()
+
+    def _fill_rule_records(self) -> None:
+        """Fill the records from which compiled code reads the settings of the environment."""
+        c = self.config
+        self.rules, self.axis_rules = np.zeros(1, core.TASK_PARAMETERS), np.zeros(len(self.axes), core.AXIS_PARAMETERS)
+        rules = {name: getattr(c, name) for name in core.SETTINGS}
+        rules |= {
+            "farthest": c.max_target_pulses, "nearest": c.grid[0], "diverged": DIVERGENCE_REWARD, "truth": c.truth is True,
+            "log_farthest": portable_math.log1p(2 * c.max_target_pulses / c.grid[0]),
+            "log_longest": portable_math.log1p((c.max_target_pulses + MAX_PULSES_BEFORE_ORIGIN) / c.tolerance),
+        }  # fmt: skip
+        for name, value in rules.items():
+            self.rules[name] = value
+        of_axes = {
+            "near": c.tolerance * self.per_pulse, "per_pulse": self.per_pulse, "full_step": self.full_step,
+            "index": self.index,
+            **{pin: [a.chip.find_switch_input(pin) for a in self.axes] for pin in core.SWITCHES},
+        }  # fmt: skip
+        for name, values in of_axes.items():
+            self.axis_rules[name] = values
+
+    def list_frame_values(self) -> dict[str, Any]:
+        macros, row = self.macro_table, self.results.rows.dtype
+        offset: int = row.fields["score"][1]
+        return {
+            "rules": self.rules, "axis_rules": self.axis_rules, "episodes": self.episodes, "axes": self.axis_states,
+            "machines": self._machine_numbers, "homed": self._homed, "valid": self._valid, "kinds": macros.kinds,
+            "targets": macros.targets, "pages": macros.pages, "table": macros.programs, "n_axes": len(self.axes),
+            "stage_axes": self._truth.shape[1], "n_actions": len(self.names), "n_distances": len(macros.grid),
+            "n_pages": len(macros.programs), "n_ops": macros.programs.shape[1],
+            "n_machine": self._machine_numbers.shape[1], "result_size": row.itemsize, "score": offset,
+        }  # fmt: skip
+
+    def apply_machine(self, stage_index: int) -> None:
+        super().apply_machine(stage_index)
+        for f in machine_contexts.INFO_FEATURES:
+            self.results["info"][f.name][stage_index] = self.context[f.name][stage_index]
+        self._machine_numbers[stage_index] = self.machine_features[stage_index]
 
     # --- episodes ---
 
@@ -195,7 +235,7 @@ class BusMacros(MacroHostTask):
         used = m if level >= 2 else 1
         self.draw_machine(stage_index, options, used)
         e, axes = self.episodes[stage_index], self.axis_states[stage_index]
-        axes[...] = np.zeros((), AXIS_STATE)
+        axes[...] = np.zeros((), core.AXIS_STATE)
         sign = rng.choice((-1, 1), m) if level < 3 else np.ones(m, np.int64)
         units = rng.integers(1, c.max_target_pulses // c.grid[0] + 1, m)
         distance = units * c.grid[0] if level else rng.choice(c.grid, m)
@@ -209,15 +249,9 @@ class BusMacros(MacroHostTask):
         axes["known"], axes["fresh"] = level < 3, 1
         e["level"], e["limits"], e["selected"] = level, 0, 0
         self._place_carriages(stage_index, at)
-        truth = self.fleet.truth()[stage_index, self.index]
-        e["began"] = e["before"] = int(truth["now"][0])
-        for a, pins in enumerate(self.switch_masks):
-            for name, mask in zip(SWITCHES, pins, strict=True):
-                axes[name][a] = int(truth["inputs"][a]) & mask != 0
         straight = np.abs(axes["target"]) + (np.abs(from_origin) if level == 3 else 0)
         e["usual"] = compute_move_time(straight[:used].astype(float), *RATES["usual"]).max()
-        e["potential"] = e["start"] = self._compute_potential(truth[None], slice(stage_index, stage_index + 1))[0]
-        e["loan"] = e["left"] = 0.0
+        self.judge_and_observe(stage_index, stage_index + 1, True)
 
     def _set_target_options(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
         """Set the targets of the option "targets", pulses by axis. Raises ArgumentError for one that the level does not allow."""
@@ -270,92 +304,6 @@ class BusMacros(MacroHostTask):
             "action_mask": self.action_masks()[stage_index],
             **self.describe_machine(stage_index),
         }
-
-    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
-        c, e, t = self.config, self.episodes, truth[:, self.index]
-        self._update_memory(played, t)
-        good, used, now = self.undiverged_stages, self.uses_axis, t["now"][:, 0]
-        lost = np.abs(t["lost_steps"]) * used
-        inputs = t["inputs"]
-        at_limit = np.stack([inputs[:, a] & (w[1] | w[2]) != 0 for a, w in enumerate(self.switch_masks)], axis=1) & used
-        s = self.axis_states
-        hits = (at_limit & (s["limit"] == 0)).sum(axis=1)
-        first = (lost.max(axis=1) > 0) & (s["lost"].max(axis=1) == 0)
-        error = np.abs(t["position"] - s["goal"]) / self.per_pulse
-        rest = t["commanded"] - t["lost_steps"] * self.full_step
-        arrived = (error <= c.lag) & (np.abs(rest - s["goal"]) <= c.tolerance * self.per_pulse)
-        arrived &= (t["busy"] == 0) & (s["known"] != 0)
-        is_recoverable = (lost == 0).all(axis=1) | (e["level"] == 3)
-        success = (arrived | ~used).all(axis=1) & is_recoverable & good
-        over = self.steps >= c.macros
-        timed_out = now - e["began"] >= c.time_limit * 1e9
-        hopeless = ~is_recoverable & ~success & good
-        potential = np.where(success, 0.0, self._compute_potential(t, slice(None)))
-        seconds = (now - e["before"]) * 1e-9
-        failed = (hopeless | over | timed_out) & ~success
-        left = np.maximum(c.macros - self.steps, 0) * c.macro_weight
-        left = left + np.maximum(c.time_limit - (now - e["began"]) * 1e-9, 0.0) * c.time_weight
-        left = np.where(success, 0.0, left)
-        parts = {
-            "progress": c.progress_weight * (potential - e["potential"]),
-            "cost": -c.macro_weight - c.time_weight * seconds,
-            "success": np.where(success, c.success_weight, 0.0),
-            "damage": -c.damage_weight * (first * 1.0 + hits),
-            "failed": e["left"] - left,
-        }
-        e["left"][good] = left[good]
-        e["potential"][good], e["before"][good] = potential[good], now[good]
-        e["limits"][good] += hits[good]
-        s["lost"][good], s["limit"][good] = np.maximum(s["lost"], lost)[good], at_limit[good]
-        if c.discount < 1.0:
-            parts |= self._compute_discounted_parts(success | failed)
-        elapsed = (now - e["began"]) * 1e-9
-        info = {
-            "level": e["level"], "action_mask": self.action_masks(), **self.machine_info,
-            "elapsed": elapsed, "masked": ~self._valid, "success": success,
-            "error": np.max(error * used, axis=1), "lost_steps": lost.sum(axis=1),
-        }  # fmt: skip
-        self.set_results(parts, info, success | hopeless, (over | timed_out) & ~success & ~hopeless)
-        time = np.where(success, elapsed, np.inf)
-        write_scores(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
-
-    def _compute_discounted_parts(self, over: np.ndarray) -> dict[str, np.ndarray]:
-        """Compute progress, cost, damage and failed for a `discount` below 1: paid when the episode ends, with a loan before.
-
-        Args:
-            over: Mask of the stages whose episode ends, (n,).
-
-        Returns:
-            The parts by name, (n,) each.
-        """
-        c, e, good = self.config, self.episodes, self.undiverged_stages
-        progress = c.progress_weight * (e["potential"] - e["start"])
-        cost = -c.macro_weight * self.steps - c.time_weight * 1e-9 * (e["before"] - e["began"])
-        damage = -c.damage_weight * ((self.axis_states["lost"].max(axis=1) > 0) + e["limits"])
-        dearest = c.macro_weight * c.macros + c.time_weight * c.time_limit
-        loan = np.maximum(progress + cost + damage - e["left"], -dearest) / (1.0 + (1.0 - c.discount) * c.macros)
-        loan = np.where(over, 0.0, loan)
-        paid = np.where(over, progress, c.discount * loan) - e["loan"]
-        e["loan"][good] = loan[good]
-        ends = {"cost": cost, "damage": damage, "failed": -e["left"]}
-        return {"progress": paid, **{name: np.where(over, part, 0.0) for name, part in ends.items()}}
-
-    def _compute_potential(self, truth: np.ndarray, which: slice) -> np.ndarray:
-        """Compute the potential of some stages, from about -1.5 (far away, origin unknown) to 0 (at the targets).
-
-        Args:
-            truth: True state of the axes, (stages, m).
-            which: Slice of the stages.
-        """
-        c, s, used = self.config, self.axis_states[which], self.uses_axis[which]
-        beyond = np.maximum(np.abs(truth["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
-        distance = portable_math.log1p(beyond) / portable_math.log1p(
-            (c.max_target_pulses + MAX_PULSES_BEFORE_ORIGIN) / c.tolerance
-        ) + 0.5 * (s["known"] == 0)
-        total = np.zeros(len(s))
-        for a in range(len(self.axes)):
-            total -= distance[:, a] * used[:, a]
-        return total / used.sum(axis=1)
 
 
 def _get_motor(axis: Any) -> Any:

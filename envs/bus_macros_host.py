@@ -1,7 +1,7 @@
-"""Host of `stage/BusMacros-v1`: the macros that are allowed now, what the host has written and read, and a scripted policy.
+"""Host of `stage/BusMacros-v1`: its macros, its observations, and a scripted policy.
 
-The host knows only what it has written and read. The values in this file follow from that knowledge alone; bus_macros.py draws
-the episodes and judges the actions.
+The host knows only what it has written and read. bus_macros.py draws the episodes; bus_macros_core.py plays and judges the macros,
+and keeps the memory of the host.
 """
 
 from __future__ import annotations
@@ -10,47 +10,33 @@ from typing import Any
 
 import numpy as np
 
+from stage.envs import bus_macros_core as core
 from stage.envs import machine_contexts
-from stage.envs.hidden_machine_task import MachineTask
+from stage.envs.bus_macros_core import SWITCHES
+from stage.envs.compiled_task import CompiledTask
+from stage.envs.hidden_machine_task import HiddenMachineTask
 from stage.envs.macro_programs import MACROS_WITHOUT_VALUES, RATES, MacroTable
 from stage.envs.observation_features import HOST, Feature
-from stage.native import record
-from stage.sim.fleet import PlayedPrograms
-from stage.support import portable_math
-
-SWITCHES = ("org", "el_minus", "el_plus")
-AXIS_STATE = record(
-    [(name, "i8") for name in "rates distance running fresh known zero seen target lost limit".split()]
-    + [("goal", "f8"), *((name, "?") for name in SWITCHES)]
-)
-"""State of an axis. Memory of the host: rates, distance (indices; -1: not written), running, fresh, known, zero and seen (pulses).
-State of the judge: target (pulses), goal (m), lost (largest number of lost full steps), limit (whether an end limit is on)."""
-EPISODE = record(
-    [(name, "i8") for name in "level selected began before limits".split()]
-    + [(name, "f8") for name in "potential usual start loan left".split()]
-)
-"""State of an episode: began, before (time at its beginning and at that of the step, ns); limits (end limits hit); potential (the
-last one); usual (time of the formula, s); start (potential at the beginning); loan (paid so far, for a discount below 1);
-left (costs that are left, charged already)."""
 
 
-class MacroHostTask(MachineTask[Any]):
-    """Base of tasks whose actions are macros: the memory of the host, its observations and its scripted policy.
+class MacroHostTask(HiddenMachineTask[Any], CompiledTask[Any]):
+    """Base of tasks whose actions are macros: their programs, the observations of the host and its scripted policy.
 
     Attributes:
         axes: Axes of the first stage, m of them.
-        switch_masks: Bits of SWITCHES in the inputs of each axis' chip.
         macro_table: Programs of all macros.
         axis_states: Memory of the host, AXIS_STATE records, (n, m).
         episodes: State of each episode, EPISODE records, (n,).
+        names: Names of the macros.
     """
 
     axes: list[Any]
-    switch_masks: list[list[int]]
     macro_table: MacroTable
     axis_states: np.ndarray
     episodes: np.ndarray
-    _valid: np.ndarray
+    _homed: np.ndarray
+    names: tuple[str, ...]
+    _lasts: np.ndarray
     OBSERVATION = (
         Feature("known", HOST, "1 if the origin of the selected axis is known"),
         Feature("running", HOST, "1 if a move was started and not waited for"),
@@ -82,113 +68,29 @@ class MacroHostTask(MachineTask[Any]):
     @property
     def uses_axis(self) -> np.ndarray:
         """Mask of the axes that take part in each stage's episode, (stages, axes) bool."""
-        return (np.arange(len(self.axes)) == 0) | (self.episodes["level"] >= 2)[:, None]
+        return (np.arange(len(self.axes)) == 0) | (self.episodes["level"] >= core.LEVEL_AXES)[:, None]
 
     def action_masks(self) -> np.ndarray:
         """Return which macros have an effect now, (stages, actions) int8."""
-        s, c, e = self.selected_axis_state, self.config, self.episodes
-        idle = s["running"] == 0
-        able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
-        columns = [
-            *(idle & (s["rates"] != r) for r in range(len(RATES))), *(idle & (s["distance"] != d) for d in range(len(c.grid))),
-            able, able, idle & (e["level"] == 3), ~idle, s["fresh"] == 0,
-            *(self.uses_axis[:, a] & (e["selected"] != a) for a in range(len(self.axes))),
-        ]  # fmt: skip
-        return np.stack(columns, axis=1).astype(np.int8)
+        return self.results["info"]["action_mask"].copy()
 
-    @property
-    def selected_axis_state(self) -> np.ndarray:
-        """AXIS records of the selected axis of each stage, (n,): what the host remembers of it."""
-        return self.axis_states[np.arange(self.n), self.episodes["selected"]]
+    def set_action(self, stage_index: int, action: Any) -> None:
+        if type(action) in (int, np.int64) and 0 <= action < len(self.names):
+            self.actions[stage_index] = action
+        else:
+            super().set_action(stage_index, action)
 
-    def make_programs(self) -> np.ndarray:
-        to_registers, every = self.actions, np.arange(self.n)
-        self._valid = self.action_masks()[every, to_registers] != 0
-        return self.macro_table.select_programs(
-            to_registers, self.episodes["selected"], self.selected_axis_state, self._valid & self.active
-        )
+    def run_step(self) -> bool:
+        if self._lasts.take(self.actions, mode="clip").any():
+            self.fleet.run_on_threads(self.step_stages, interruptible=True)
+        else:  # threads would take more time than they save
+            self.fleet.stop_background()
+            self.step_stages(0, self.n)
+        return any(self._status.tolist())
 
-    # --- what it remembers and sees ---
-
-    def _update_memory(self, played: PlayedPrograms, truth: np.ndarray) -> None:
-        """Update the host's memory after the macros that were played.
-
-        Args:
-            played: Results of the macros.
-            truth: True state of the axes, (n, m).
-        """
-        done = self._valid & self.undiverged_stages
-        for kind, mask in self.macro_table.is_kind.items():
-            rows = np.flatnonzero(done & mask[self.actions])
-            if not len(rows):
-                continue
-            axis = self.episodes["selected"][rows]
-            if kind == "select":
-                self.episodes["selected"][rows] = self.macro_table.value[self.actions[rows]]
-                continue
-            s = self.axis_states[rows, axis]
-            if kind in ("rates", "distance"):
-                s[kind] = self.macro_table.value[self.actions[rows]]
-            elif kind in ("plus", "minus"):
-                s["running"], s["fresh"] = 1, 0
-            elif kind == "wait":
-                s["running"], s["fresh"] = played.results[rows, 0] < 0, 0
-            elif kind == "read":
-                self._store_read_values(s, truth[rows, axis], axis)
-            else:
-                self._store_home_results(s, played.results[rows], truth[rows, axis], axis)
-            self.axis_states[rows, axis] = s
-
-    def _store_read_values(self, axis_states: np.ndarray, truth: np.ndarray, axis: np.ndarray) -> None:
-        """Store what the macro `read` shows: the pulse counter and the switches.
-
-        Args:
-            axis_states: Memory to fill, AXIS_STATE records, (k,).
-            truth: True state of the axes that were read, (k,).
-            axis: Index of the axis, (k,).
-        """
-        axis_states["fresh"], axis_states["seen"] = 1, truth["pulses"]
-        pins = np.array(self.switch_masks)[axis]
-        for j, name in enumerate(SWITCHES):
-            axis_states[name] = truth["inputs"] & pins[:, j] != 0
-
-    def _store_home_results(
-        self, axis_states: np.ndarray, results: np.ndarray, truth: np.ndarray, axis: np.ndarray
-    ) -> None:
-        """Store the results of origin returns. The position becomes the new zero, and the chip's registers count as unwritten.
-
-        Args:
-            axis_states: Memory to fill, AXIS_STATE records, (k,).
-            results: Results of the programs, (k, operations).
-            truth: True state of the axes, (k,).
-            axis: Index of the axis, (k,).
-        """
-        for a in np.unique(axis):
-            mask = axis == a
-            axis_states["known"][mask] = self.macro_table.find_returns_at_origin(int(a), results[mask])
-        axis_states["zero"], axis_states["rates"], axis_states["distance"] = truth["pulses"], -1, -1
-        self._store_read_values(axis_states, truth, axis)
-
-    def compute_observations(self) -> np.ndarray:
-        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.selected_axis_state, self.uses_axis
-        distances_left = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
-        left, farthest = distances_left[np.arange(self.n), e["selected"]], c.max_target_pulses
-        log = (
-            np.sign(left)
-            * portable_math.log1p(np.abs(left) / c.grid[0])
-            / portable_math.log1p(2 * farthest / c.grid[0])
-        )
-        one = [
-            every["known"] != 0, every["running"] != 0, every["fresh"] != 0, *(every["rates"] == r for r in range(len(RATES))),
-            *(every["distance"] == d for d in range(len(c.grid))), left / farthest, log, *(every[name] for name in SWITCHES),
-        ]  # fmt: skip
-        selected = e["selected"][:, None] == np.arange(len(self.axes))
-        arrived = (s["known"] != 0) & (distances_left == 0)
-        of_axes = np.stack([used, selected, s["running"] != 0, arrived], axis=2) * used[:, :, None]
-        time = (e["before"] - e["began"]) * 1e-9
-        rest = [e["level"] / 3.0, 1.0 - self.steps / c.macros, 1.0 - time / c.time_limit]
-        columns = [np.stack(one, axis=1), of_axes.reshape(self.n, -1), np.stack(rest, axis=1)]
-        return np.clip(np.concatenate([*columns, self.machine_features], axis=1), -1.0, 1.0).astype(np.float32)
+    def decode_results(self, stage_index: int) -> None:
+        axis, results = int(self.episodes["selected"][stage_index]), self._values[stage_index : stage_index + 1]
+        self._homed[stage_index] = self.macro_table.find_returns_at_origin(axis, results)[0]
 
     # --- a host ---
 

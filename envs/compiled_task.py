@@ -73,27 +73,35 @@ class CompiledTask(Task[ConfigT]):
         if (observed := self.fleet.list_observed_stages()) != self._observed:
             self._observed, self._is_observed[:] = observed, False
             self._is_observed[observed] = True
+        if self.run_step():
+            self._finish_step()
+
+    def run_step(self) -> bool:
+        """Run the compiled code of a step, and return whether a stage has not played its program to its end."""
         if self.n == 1:
-            if self.CORE.step_stages.c(self._address, 0, 1):
-                self._finish_step()
-        else:
-            self.fleet.run_on_threads(self._step_stages)
-            if any(self._status.tolist()):
-                self._finish_step()
+            return bool(self.CORE.step_stages.c(self._address, 0, 1))
+        self.fleet.run_on_threads(self.step_stages)
+        return any(self._status.tolist())
+
+    def decode_results(self, stage_index: int) -> None:
+        """Decode results of a stage's program that compiled code cannot decode. The base class does nothing."""
 
     def _finish_step(self) -> None:
-        """Play the programs that Python must play, and raise the error of a stage that has not moved."""
-        status = self._status
-        for k in np.flatnonzero(status == program_player.UNREADY).tolist():
-            self.stages[k].ensure_powered()
-            nothing = np.zeros((0, 2))
-            status[k] = program_player.play_in_python(self.stages[k], self._ops[k], self._values[k], nothing)
+        """Finish the step of stages whose program Python must play or decode, and raise the error of a stage that has not moved."""
+        status, nothing = self._status, np.zeros((0, 2))
+        for k in np.flatnonzero((status == program_player.UNREADY) | (status == program_player.UNDECODED)).tolist():
+            if status[k] == program_player.UNREADY:
+                self.stages[k].ensure_powered()
+                status[k] = program_player.play_in_python(self.stages[k], self._ops[k], self._values[k], nothing)
+            else:
+                status[k] = program_player.PLAYED
+            self.decode_results(k)
             self.judge_and_observe(k, k + 1, False)
         for k in np.flatnonzero(status == program_player.REFUSED).tolist():
             check_action(self.action_space, self.actions[k])
         self.fleet.check_status(status)
 
-    def _step_stages(self, begin: int, end: int) -> None:
+    def step_stages(self, begin: int, end: int) -> None:
         """Play and judge a step of a range of stages in compiled code."""
         self.CORE.step_stages.c(self._address, begin, end)
 

@@ -35,7 +35,7 @@ from stage.envs.settings import (
     Settings,
     TruthOption,
 )
-from stage.envs.task import ConfigT, MoveTask
+from stage.envs.task import ConfigT, MoveTask, Task
 from stage.errors import ArgumentError, unknown_name_error
 from stage.sim.payload_and_judged_point import find_payload_body
 
@@ -89,7 +89,7 @@ class MachineSettings(Settings):
                 raise unknown_name_error("fault of this task, in faults,", name, self.FAULTS)
 
 
-class MachineTask(MoveTask[ConfigT]):
+class HiddenMachineTask(Task[ConfigT]):
     """Base of the tasks on slides with stepper motors whose machine the host does not know.
 
     Attributes:
@@ -198,3 +198,7 @@ class MachineTask(MoveTask[ConfigT]):
     def machine_features(self) -> np.ndarray:
         """Machines of all stages as numbers of an observation with truth=True, (n, features)."""
         return machine_contexts.scale_contexts(self.ranges, self.context)
+
+
+class MachineTask(HiddenMachineTask[ConfigT], MoveTask[ConfigT]):
+    """Hidden machine task whose step is a program that is judged after it was played."""

@@ -2,7 +2,7 @@
 
     table = MacroTable(axes, (16, 64, 256, 1024), patience=2.0, settle=0.02)
     table.names                                             "rates gentle", "distance 16", "plus", ..., "select x"
-    table.select_programs(macros, axis, axis_states, which) bus cycles of these macros, (n, operations, 4)
+    table.programs[table.pages[0, 3]]                       bus cycles of the fourth macro on the first axis, (operations, 4)
 
 The macros `plus` and `minus` write the selected registers once more before they start, because some chips forget one at a reset.
 """
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from stage.envs.bus_macros_core import MACRO_KINDS
 from stage.firmware.driver import get_driver
 from stage.sim.program import Program
 
@@ -24,7 +25,6 @@ HOMING = SimpleNamespace(multiplier=30, leave=0, back_off=400, limit=3.0, settle
 """Settings of the macro `home`, with the names of OriginReturn's settings."""
 SPEEDS_HOME = (1000.0, 6000.0, 0.05, 1000.0)  # start rate and drive rate, pps; ramp, s; rate of the approach, pps
 MACROS_WITHOUT_VALUES = ("plus", "minus", "home", "wait", "read")
-KINDS = ("rates", "distance", *MACROS_WITHOUT_VALUES, "select")
 
 
 class MacroTable:
@@ -39,8 +39,11 @@ class MacroTable:
     Attributes:
         names: Names of the macros. Those that select an axis are the last m.
         macros_per_axis: Number of macros before those that select an axis.
-        is_kind: For each of KINDS, a mask over the macros.
-        value: Index of the rates, of the distance or of the axis that each macro selects.
+        kinds: Kind of each macro, an index in MACRO_KINDS.
+        targets: Index of the rates, of the distance or of the axis that each macro selects.
+        programs: Operations of all programs, (programs, operations, 4); program 0 is empty.
+        pages: Index of the first program of each macro on each axis, (m, macros). `plus` and `minus` have a program for each rates
+            and each distance, one after the other.
         home_searches: Origin return of each axis, by its host driver.
     """
 
@@ -54,17 +57,14 @@ class MacroTable:
         one = [*(f"rates {r}" for r in RATES), *(f"distance {d}" for d in self.grid), *MACROS_WITHOUT_VALUES]
         self.macros_per_axis, m = len(one), len(axes)
         self.names = (*one, *(f"select {axis.name}" for axis in axes))
-        kinds = np.array([name.split()[0] for name in self.names])
-        self.is_kind = {kind: kinds == kind for kind in KINDS}
-        self.value = np.array(
+        self.kinds = np.array([MACRO_KINDS.index(name.split()[0]) for name in self.names])
+        self.targets = np.array(
             [*range(len(RATES)), *range(len(self.grid)), *[0] * len(MACROS_WITHOUT_VALUES), *range(m)]
         )
-        self._is_move_start = self.is_kind["plus"] | self.is_kind["minus"]
-        self._at = np.zeros((m, len(self.names)), np.int64)  # index of a macro's first program; program 0 is empty
-        self._at[:, : self.macros_per_axis] = np.array(self._first).reshape(m, self.macros_per_axis)
-        self._lengths = np.array([len(p) for p in self._programs])
-        self._table = np.zeros((len(self._programs), self._lengths.max(), 4), np.int64)
-        for row, p in zip(self._table, self._programs, strict=True):
+        self.pages = np.zeros((m, len(self.names)), np.int64)
+        self.pages[:, : self.macros_per_axis] = np.array(self._first).reshape(m, self.macros_per_axis)
+        self.programs = np.zeros((len(self._programs), max(map(len, self._programs)), 4), np.int64)
+        for row, p in zip(self.programs, self._programs, strict=True):
             if len(p):
                 row[: len(p)] = p.ops
 
@@ -103,26 +103,6 @@ class MacroTable:
         for name, value in values.items():
             program.register(axis.index, axis.chip, name, value, axis.chip_axis)
         return program
-
-    def select_programs(
-        self, macros: np.ndarray, axis: np.ndarray, axis_states: np.ndarray, which: np.ndarray
-    ) -> np.ndarray:
-        """Return the bus cycles of the macro that each stage plays.
-
-        Args:
-            macros: Index of the macro on each stage, (n,).
-            axis: Index of the axis on which it acts, (n,).
-            axis_states: Host's memory of that axis, whose `rates` and `distance` are written, (n,).
-            which: Mask of the stages that act, (n,).
-
-        Returns:
-            Operations, (n, operations, 4).
-        """
-        of_starts = np.where(
-            self._is_move_start[macros], axis_states["rates"] * len(self.grid) + axis_states["distance"], 0
-        )
-        pages = np.where(which, self._at[axis, macros] + of_starts, 0)
-        return self._table[pages, : max(1, int(self._lengths[pages].max()))]
 
     def find_returns_at_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
         """Return which of the origin returns of an axis have ended at the origin, as a mask.

@@ -19,7 +19,7 @@ from stage.envs.env_snapshots import EnvSnapshot
 from stage.envs.observation_features import Feature
 from stage.envs.settings import NumberSetting
 from stage.envs.step_results import DIVERGENCE_REWARD as DIVERGENCE_REWARD
-from stage.envs.task import MoveTask, Task, check_action, make_config
+from stage.envs.task import Task, check_action, make_config
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.snapshots import SnapshotHeader
 
@@ -213,7 +213,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
     def _play_and_film(self) -> None:
         """Play one step of the task, and collect its frames for `render`."""
         task = self._task
-        if not isinstance(task, MoveTask):
+        if not task.STEPS_ARE_MOVES:
             task.play_actions()
             if self._frame_interval is None or self.stage.time >= self._last_frame_time + self._frame_interval - 1e-9:
                 self._last_frame_time = self.stage.time

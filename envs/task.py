@@ -63,6 +63,8 @@ class Task(ABC, Generic[ConfigT]):
     """Whether every step begins at power-up, so that a recording holds only one step."""
     IS_COMPILED: ClassVar[bool] = False
     """Whether `play_actions` has also prepared the next step and computed the observations, in compiled code."""
+    STEPS_ARE_MOVES: ClassVar[bool] = False
+    """Whether `render` shows frames in the course of a step, because a step can be a whole move."""
     action_space: gymnasium.Space
     observation_space: gymnasium.Space
     shapes: Mapping[str, tuple[int, ...]] = MappingProxyType({})
@@ -233,6 +235,8 @@ class MoveTask(Task[ConfigT]):
 
     Subclasses compute elementwise over the stages, so that a stage's values do not depend on the number of stages.
     """
+
+    STEPS_ARE_MOVES = True
 
     @abstractmethod
     def make_programs(self) -> Sequence[Program] | np.ndarray:

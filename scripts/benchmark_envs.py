@@ -2,6 +2,8 @@
 
 python scripts/benchmark_envs.py [--most 512] [--ids RegisterTuning] [--rounds 5] [--json FILE]
 python scripts/benchmark_envs.py --chips PCL240K MCX514 MCX304 --markdown      rows of the table of docs/envs.md
+python scripts/benchmark_envs.py --overhead     what a step costs beside its physics: RegisterBus beside Gymnasium's MujocoEnv, a
+                                                macro of BusMacros without effect
 
 Every line is one environment with a number of stages under random actions. In each round, the same episodes (seeds and actions)
 are played by our vector environment and by gymnasium.vector.SyncVectorEnv of our scalar one. A mujoco.batch.Batch of the bare
@@ -9,19 +11,24 @@ model makes the same number of physics steps on as many threads, with moving car
 """
 
 import argparse
+import gc
 import json
 import os
 import subprocess
 import sys
 import time
+from functools import partial
 from itertools import product
 from pathlib import Path
 
 import gymnasium
 import mujoco
 import numpy as np
+from bench import environment
+from bench.figures import Run
 from bench.machines import MujocoBatch
-from bench.timing import measure_time, read_resident_memory
+from bench.report import format_line
+from bench.timing import do_nothing, measure_alternately, measure_time, read_resident_memory
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import stage.envs
@@ -114,6 +121,39 @@ def measure(id_, n, settings, args):
     return rows
 
 
+def repeat_step(envs, action, count):
+    """Make the same step several times."""
+    for _ in range(count):
+        envs.step(action)
+
+
+def measure_overhead(rounds):
+    """Print what steps cost beside their physics."""
+    for figure in environment.measure(Run(rounds)):
+        print(format_line(figure), flush=True)
+    works, many = {}, 64
+    steps = {"scalar": 100, "vector of 64": 10, "SyncVectorEnv of 64": 1}  # short turns
+    for kind in steps:
+        n = many if "64" in kind else 1
+        settings = {"macros": 10**9, "time_limit": 1e6}
+        if n == 1:
+            envs = gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, **settings).unwrapped
+        else:
+            make = make_sync_vector_env if "Sync" in kind else make_vector_env
+            envs = make("stage/BusMacros-v1", n, **settings)
+        _, info = envs.reset(seed=SEED)
+        masked = np.argmin(info["action_mask"], axis=-1)
+        action = int(masked) if n == 1 else masked
+        works[kind] = do_nothing, partial(repeat_step, envs, action, steps[kind])
+    gc.freeze()  # else it would look through all that these environments consist of
+    seconds = measure_alternately(works, rounds, 200, np.min)
+    per_step = {kind: s / steps[kind] / (many if "64" in kind else 1) for kind, s in seconds.items()}
+    for kind, s in per_step.items():
+        print(f"  BusMacros, masked macro, {kind}: {' '.join(format_spread(s * 1e6))} us an environment")
+    ratio = per_step["SyncVectorEnv of 64"] / per_step["vector of 64"]
+    print(f"  SyncVectorEnv / vector, 64 environments: {' '.join(format_spread(ratio))} times")
+
+
 def measure_growth(kind, id_, n, settings):
     """Measure the memory of each of n further stages after a step.
 
@@ -204,10 +244,14 @@ def main():
     parser.add_argument("--settings", type=json.loads, default={}, help="of the environments, as JSON")
     parser.add_argument("--json")
     parser.add_argument("--markdown", action="store_true", help="rows of a table in place of columns, without memory")
+    parser.add_argument("--overhead", action="store_true", help="what a step costs beside its physics")
     parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.grow:
         print(measure_growth(args.grow[0], args.grow[1], int(args.grow[2]), args.settings))
+        return
+    if args.overhead:
+        measure_overhead(args.rounds)
         return
     table = {}
     print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)"

@@ -28,7 +28,7 @@ from stage.native.compile_error_explanation import explain_compile_error
 from stage.native.object_file_cache import write_object
 
 SYSTEM_FUNCTIONS = frozenset(
-    "exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split()
+    "exp log log1p pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split()
 )
 """System functions that a library may use: mathematics and memory functions of C."""
 

@@ -166,8 +166,9 @@ class Fleet:
             compiled = ops.copy()
             compiled[by_python, 0] = END
         lasts = ops[:, :, 1:].sum(dtype=float) > program_player.MIN_BACKGROUND_PLAY_NS  # times are in it
-        run = self._play_interruptibly if lasts else self.run_on_threads
-        run(lambda a, b: program_player.play_programs(self.handles, a, b, compiled, results, extremes, status))
+        self.run_on_threads(
+            lambda a, b: program_player.play_programs(self.handles, a, b, compiled, results, extremes, status), lasts
+        )
         self.check_status(status)
         for k in by_python:
             status[k] = program_player.play_in_python(self.stages[k], ops[k], results[k], extremes[k])
@@ -226,20 +227,24 @@ class Fleet:
 
     def close(self) -> None:
         """End the threads of the fleet."""
-        self._stop_background()
+        self.stop_background()
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
 
     @explain_arguments
-    def run_on_threads(self, work: Callable[[int, int], None]) -> None:
+    def run_on_threads(self, work: Callable[[int, int], None], interruptible: bool = False) -> None:
         """Call `work` on the fleet's threads, for ranges of stages that together contain every stage.
 
         Args:
             work: Function of the begin and the end of a range of stage indices.
+            interruptible: Whether Ctrl-C in the main thread ends programs of `work`, at the cost of another thread.
         """
-        self._stop_background()
-        self._run_chunks_on_threads(work)
+        self.stop_background()
+        if interruptible and threading.current_thread() is threading.main_thread():
+            self._play_in_background(work)
+        else:
+            self._run_chunks_on_threads(work)
 
     def _run_chunks_on_threads(self, work: Callable[[int, int], None]) -> None:
         """Divide the stages into chunks, and call `work` for each on the next free thread."""
@@ -264,12 +269,8 @@ class Fleet:
         for job in jobs:
             job.result()
 
-    def _play_interruptibly(self, work: Callable[[int, int], None]) -> None:
-        """Call `work` as `run_on_threads` does, on a background thread, so that Ctrl-C in the main thread can end it."""
-        if threading.current_thread() is not threading.main_thread():
-            self.run_on_threads(work)
-            return
-        self._stop_background()
+    def _play_in_background(self, work: Callable[[int, int], None]) -> None:
+        """Call `work` for all stages while this thread, the main one, waits and receives Ctrl-C."""
         turn = self._background = _BackgroundPlay()
 
         def play_all() -> None:
@@ -287,11 +288,11 @@ class Fleet:
             self._get_thread_pool().submit(play_all)
             turn.over.acquire()
         finally:
-            self._stop_background()
+            self.stop_background()
         if turn.failed is not None:
             raise turn.failed
 
-    def _stop_background(self) -> None:
+    def stop_background(self) -> None:
         """End the programs that a background thread plays. If Ctrl-C interrupts this, the next call of `play` repeats it."""
         if self._background is None or threading.current_thread() is not threading.main_thread():
             return

@@ -38,8 +38,9 @@ STEP_LOST = -1
 """Status of a program that AWAIT_STOP_OR_LOST_STEP has ended because a step was lost."""
 HALTED = -2
 """Status of a program that was interrupted, because another thread has set `halt` in the handle."""
-UNREADY, REFUSED = -3, -4
-"""Status of a program that a compiled task has not played: Python must play it, or the action is not in the action space."""
+UNREADY, REFUSED, UNDECODED = -3, -4, -5
+"""Status of a program of a compiled task: Python must play it; it was not played, because the action is not in the action space; it
+was played, and Python must decode its results."""
 HALT_CHECK_INTERVAL_NS = 100_000_000
 """Longest simulated time, ns, between two checks whether the program is to be interrupted."""
 MIN_BACKGROUND_PLAY_NS = 10 * HALT_CHECK_INTERVAL_NS
