@@ -63,7 +63,7 @@ SCRIPTED_RETURN = {"search": 9000.0, "ramp": 0.1, "approach": 1000.0, "back_off"
 LEAVE_MARGIN = 300  # pulses beyond ORG from which a search finds it again
 START_RATE_SHARE = 0.125  # start rate, as a share of the rate of the search
 MAX_ERROR_PULSES = 64.0  # an electrical period of a motor with 1/16 microsteps
-LIMIT_CLEARANCE_M = 1e-3  # smallest distance between the start of a return and an end limit
+START_LIMIT_CLEARANCE_M = 1e-3  # smallest distance between the start of a return and an end limit
 LAST_RETURN_FEATURES = 10  # numbers of an observation that describe the last return
 
 
@@ -226,7 +226,7 @@ class DriftingHome(MachineTask[Config]):
             options: Options of the reset, among them "start", m; empty for later returns.
         """
         c, rng, stage = self.config, self.rngs[stage_index], self.stages[stage_index]
-        low, high = self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M
+        low, high = self.switch.low + START_LIMIT_CLEARANCE_M, self.switch.high - START_LIMIT_CLEARANCE_M
         walk, noise, at = rng.uniform(-1, 1, 3)
         self.shift[stage_index, 0] += c.walk * walk
         self.shift[stage_index, 1] = self.shift[stage_index, 0] + c.noise * noise

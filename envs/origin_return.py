@@ -60,7 +60,7 @@ from stage.sim.payload_and_judged_point import find_payload_body
 from stage.sim.program import Program
 from stage.support import portable_math
 
-LIMIT_CLEARANCE_M = 5e-4  # smallest distance between the start of a return and an end limit
+START_LIMIT_CLEARANCE_M = 5e-4  # smallest distance between the start of a return and an end limit
 MAX_ERROR_PULSES = 64.0  # an electrical period of a motor with 1/16 microsteps
 
 
@@ -105,7 +105,7 @@ class Config(settings.Settings):
         0.5,
         2.0,
     )
-    drift: Annotated[float, settings.NumberSetting(high=LIMIT_CLEARANCE_M)] = 0.0
+    drift: Annotated[float, settings.NumberSetting(high=START_LIMIT_CLEARANCE_M)] = 0.0
     ez: Annotated[int, settings.NumberSetting(high=16, integer=True)] = 0
     multiplier: settings.Count = 30
     leave: settings.Count = 16_000
@@ -219,7 +219,9 @@ class OriginReturn(MoveTask[Config]):
             options: Options of the reset; "start", m, replaces the drawn start.
         """
         c, rng, stage = self.config, self.rngs[stage_index], self.stages[stage_index]
-        drawn = float(rng.uniform(self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M))
+        drawn = float(
+            rng.uniform(self.switch.low + START_LIMIT_CLEARANCE_M, self.switch.high - START_LIMIT_CLEARANCE_M)
+        )
         self.place[stage_index] = settings.read_number_option(options, "start", drawn, self.axis.travel)
         self.shift[stage_index] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
         self._shift_switch(stage_index)

@@ -66,7 +66,7 @@ WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + 
 GOALS = ("position", "home")
 DEFAULT_DISTANCES_PULSES = (400, 8000)  # default range of the targets' distances, pulses
 MAX_DISTANCE_SHARE = 0.9  # largest default distance of a target, as a share of the distance to the nearest end limit
-LIMIT_CLEARANCE_M = 5e-4  # smallest distance between a start with goal "home" and an end limit
+START_LIMIT_CLEARANCE_M = 5e-4  # smallest distance between a start with goal "home" and an end limit
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ class RegisterBus(CompiledTask[Config]):
     def _draw_start_positions(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a start position for each axis, m: between the end limits, and not within the tolerance of the origin."""
         while True:
-            q = rng.uniform(self.limits[:, 0] + LIMIT_CLEARANCE_M, self.limits[:, 1] - LIMIT_CLEARANCE_M)
+            q = rng.uniform(self.limits[:, 0] + START_LIMIT_CLEARANCE_M, self.limits[:, 1] - START_LIMIT_CLEARANCE_M)
             if (np.abs(q - self.origin) > self.config.tolerance * self.per_pulse).all():
                 return q
 

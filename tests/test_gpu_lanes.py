@@ -32,7 +32,7 @@ class Lanes:
             lambda function: function,
             {},
             {
-                "is_true_in_warp": lambda condition: any(self.exchange(bool(condition))),
+                "is_any_true_in_warp": lambda condition: any(self.exchange(bool(condition))),
                 "read_value_in_warp": lambda value, thread: self.exchange(value)[thread],
                 "get_thread_number": lambda: self.local.number,
                 "view_as_words": lambda records, count: np.asarray(records).view(np.int64),

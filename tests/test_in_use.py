@@ -17,7 +17,7 @@ from stage.board import Board
 from stage.chips import MCX514, PCL240K
 from stage.errors import ArgumentError
 from stage.native import COMPILED
-from stage.sim import faults, mujoco_callbacks
+from stage.sim import faults, mujoco_callback_guards
 from stage.sim import fleet as fleet_module
 
 
@@ -230,7 +230,7 @@ def test_a_callback_that_does_nothing_places_the_carriage_where_it_would_be(xy):
     assert get_state_bits(xy) == get_state_bits(replica)
 
 
-@pytest.mark.parametrize("name", mujoco_callbacks.CALLBACK_NAMES)
+@pytest.mark.parametrize("name", mujoco_callback_guards.CALLBACK_NAMES)
 def test_every_callback_is_guarded(xy, name):
     def fail(*_):
         raise KeyError(name)

@@ -63,7 +63,7 @@ class Axis(Protocol):
 
     @property
     def commanded(self) -> float | None:
-        """Position of the carriage according to the pulses, m (rad on a hinge); None without one."""
+        """Position of the carriage according to the pulses, m (rad on a hinge); None without a carriage."""
 
     @property
     def lost_steps(self) -> int | None:

@@ -102,7 +102,11 @@ class ControlledAxis:
         self.set_pulses(round(get_forward_direction(axis) * axis.position / axis.meters_per_pulse))
 
     def read(self, trouble: str = "") -> Reading:
-        """Read the axis without bus cycles; `trouble` is a reason for which time stands still."""
+        """Read the axis without bus cycles.
+
+        Args:
+            trouble: Why simulated time does not pass, which the reading then reports in place of the axis' own trouble.
+        """
         state = firmware.read_axis_state(self.axis)
         pulses = self._get_counter_pulses(state)
         encoder = (state.position or 0.0) * self._factor + self._encoder_offset

@@ -654,7 +654,7 @@ class MotorRecord(PVGroup):
         return False
 
     def _make_choice_putter(self, field: str, word: str) -> Callable[..., Awaitable[Any]]:
-        """Return the function for puts to a field that chooses a word of another field."""
+        """Return the function for puts to a choice field, which write `word` to the field `field`."""
 
         async def put(instance: Any, value: int) -> int:
             await self.publish_always(field, word)

@@ -274,7 +274,7 @@ def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, 
         address, _, data = line.partition(":")
         if not data.strip():
             raise ArgumentError(f"{line}: the data are missing, as in {address.strip()}: 1F.")
-        return _list_data_writes(kind, _parse_address(kind, address), data.split())
+        return _make_write_command(kind, _parse_address(kind, address), data.split())
     return _parse_named_line(kind, first, rest.strip(), axis, values) or _parse_bytes(kind, line)
 
 
@@ -354,10 +354,10 @@ def _parse_bytes(kind: type[Chip], line: str) -> ConsoleCommand:
         raise ArgumentError(
             f"{words[0]!r} is no name of {kind.MAP.chip} and no byte.{_suggest_similar_names(kind, words[0])} `help` says more."
         )
-    return _list_data_writes(kind, 0, words)
+    return _make_write_command(kind, 0, words)
 
 
-def _list_data_writes(kind: type[Chip], address: int, words: list[str]) -> ConsoleCommand:
+def _make_write_command(kind: type[Chip], address: int, words: list[str]) -> ConsoleCommand:
     return ConsoleCommand(tuple(BusCycle(False, address, _parse_datum(kind, word)) for word in words))
 
 

@@ -125,7 +125,7 @@ class Server:
     ):
         self._fresh, self._report, self._before_each = fresh, report, before_each
         self.machine = FrameExecutor(
-            board, keep=keep, pause=self._handle_events_in_batch, hook=self._call_hook,
+            board, keep=keep, pause=self._handle_events_during_batch, hook=self._call_hook,
             report=lambda seconds, text: report(f"{seconds:12.6f}  {text}"),
         )  # fmt: skip
         self._driver: _Connection | None = None
@@ -369,7 +369,7 @@ class Server:
 
     # --- while a frame of the driver is being carried out ---
 
-    def _handle_events_in_batch(self) -> None:
+    def _handle_events_during_batch(self) -> None:
         """Handle events during a batch, without waiting for any."""
         self._handle_events(0.0)
         self._check_host_present()

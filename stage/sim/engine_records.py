@@ -54,7 +54,7 @@ sample_every: Physics steps per sample, 0 for none.
 encoders, currents, loads, linked: Number of axes whose chips count an encoder, set their motor's current, receive its load; number
     of chips that are linked.
 most_edges: How many edges a window can have.
-guarded, failed: Whether MuJoCo's callbacks are guarded, and whether one has failed, see stage.sim.mujoco_callbacks.
+guarded, failed: Whether MuJoCo's callbacks are guarded, and whether one has failed, see stage.sim.mujoco_callback_guards.
 callbacks, native: Where the addresses of the callbacks lie, and their values while nobody in Python is called.
 mj_step, mj_get_state, state_spec: Addresses of MuJoCo's functions, and the parts of its state that a snapshot has.
 flag_edges, n_flag_edges: Where the FLAG_EDGE records of all switches lie, and their number.

@@ -355,14 +355,14 @@ def _make_axis_fault(
 ) -> Fault:
     """Make a fault that changes a field of `Axis.faults` on some axes to `compute_new_value(present value)`."""
 
-    def set_values(values: list[Any]) -> None:
+    def set_field_on_axes(values: list[Any]) -> None:
         for axis, value in zip(axes, values, strict=True):
             setattr(axis.faults, field, value)
         stage.apply_faults()
 
     begin = _make_value_replacement(
         lambda: [getattr(a.faults, field) for a in axes],
-        set_values,
+        set_field_on_axes,
         lambda before: [compute_new_value(v) for v in before],
     )
     return Fault(stage, text, begin, [(field, a.name) for a in axes])

@@ -13,7 +13,7 @@ from stage.drives import drive_dispatch as any_drive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
-from stage.sim import mujoco_callbacks
+from stage.sim import mujoco_callback_guards
 from stage.sim.integration_checks import check_dampers, check_step_length
 from stage.sim.plant import view_fitted_values
 from stage.sim.stage_state import SAVED_STATE_SPEC, State
@@ -56,7 +56,7 @@ def replace_motor_in_model(
     _set_model_values(trial, axis, drive, armature)
     data = mujoco.MjData(trial)
     data.time, data.qpos[:] = present_state.time, present_state.qpos
-    mujoco_callbacks.forward_guarded(trial, data)
+    mujoco_callback_guards.forward_guarded(trial, data)
     plants, drives = [a.plant for a in axes], [drive if a is axis else a.drive for a in axes]
     check_dampers(trial, plants, drives)
     check_step_length(trial, data, plants, drives)

@@ -34,7 +34,7 @@ from stage.sim import (
     engine,
     engine_records,
     integration_checks,
-    mujoco_callbacks,
+    mujoco_callback_guards,
     plant,
 )
 from stage.sim.axis import Axes, Axis, format_axes_table
@@ -149,7 +149,7 @@ class Stage:
         self._build_state(chip_axes, drives, bus_cycle_ns, state_offset)
         for k, d in enumerate(drives):
             d.fill_record(self.state.drives[k])
-        mujoco_callbacks.forward_guarded(self.model, self.data)
+        mujoco_callback_guards.forward_guarded(self.model, self.data)
         integration_checks.check_dampers(self.model, self._plant, drives)
         integration_checks.check_step_length(self.model, self.data, self._plant, drives)
         engine.set_switch_levels.with_gil(self.state.pointer)

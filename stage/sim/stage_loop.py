@@ -21,7 +21,7 @@ from stage.chips.exclusive_access import SessionLock
 from stage.chips.journal_entries import LOAD, PACKED, SHAFT
 from stage.chips.observer_attributes import make_observer_attribute
 from stage.errors import ArgumentError, SimulationError, StageError
-from stage.sim import engine, engine_records, mujoco_callbacks
+from stage.sim import engine, engine_records, mujoco_callback_guards
 from stage.sim.compiled_stage_access import make_claim_token
 from stage.sim.procedure_threads import MIN_WAIT_NS, ProcedureSchedule
 from stage.sim.stage_state import POWERED, SAVED_STATE_SPEC, START, State
@@ -309,7 +309,7 @@ class StageLoop:
             return bool(clockwork.failed)
 
         try:
-            with mujoco_callbacks.guard_callbacks(take_error):
+            with mujoco_callback_guards.guard_callbacks(take_error):
                 clockwork.guarded = 1
                 while self.state.now < until:
                     self.run_to(min(until, self.state.start + self._dt))
@@ -338,7 +338,9 @@ class StageLoop:
         before = np.empty_like(self.state.saved)
         mujoco.mj_getState(model, data, before, SAVED_STATE_SPEC)
         change()
-        mujoco_callbacks.forward_guarded(model, data, lambda: mujoco.mj_setState(model, data, before, SAVED_STATE_SPEC))
+        mujoco_callback_guards.forward_guarded(
+            model, data, lambda: mujoco.mj_setState(model, data, before, SAVED_STATE_SPEC)
+        )
 
     # --- what the engine has noted ---
 
@@ -386,7 +388,7 @@ class StageLoop:
         mujoco.mj_setState(state.model, state.data, state.saved, SAVED_STATE_SPEC)
         state.clockwork[0].failed = 0
         failure, self._failure = self._failure, None
-        return mujoco_callbacks.make_callback_error(
+        return mujoco_callback_guards.make_callback_error(
             failure, state.now * 1e-9, "The stage holds the state before that physics step."
         )
 

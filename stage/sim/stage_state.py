@@ -21,7 +21,7 @@ from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
 from stage.native import address_of, remove_attribute_access
 from stage.sim import compiled_stage_access as handle
-from stage.sim import engine_records, mujoco_callbacks, mujoco_function_addresses
+from stage.sim import engine_records, mujoco_callback_guards, mujoco_function_addresses
 from stage.sim.plant import PlantAxis
 from stage.sim.wiring_arguments import Wires
 
@@ -182,7 +182,7 @@ class State:
             dt * 0.5e-9,
             self.model.nv,
         )
-        w.callbacks, w.native = mujoco_callbacks.CALLBACK_ADDRESSES, mujoco_callbacks.NATIVE_CALLBACKS
+        w.callbacks, w.native = mujoco_callback_guards.CALLBACK_ADDRESSES, mujoco_callback_guards.NATIVE_CALLBACKS
 
     def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:
         """Fill the table of chips: a CHIP record with the addresses of each chip."""

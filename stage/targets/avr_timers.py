@@ -198,7 +198,7 @@ def _find_ticks_until_count_leaves(timer, value, is_match):
 
 @hot
 def _count_matches(timer, value, is_match, ticks):
-    """Return how often the count leaves a value during a number of ticks."""
+    """Return how often the counter leaves `value`, see `_find_ticks_until_count_leaves`, during a number of ticks."""
     first = _find_ticks_until_count_leaves(timer, value, is_match)
     if first == 0 or first > ticks:
         return 0

@@ -297,10 +297,12 @@ class Pc(UnicornProcessor):
     # --- ports of the PC ---
 
     def _access_internal_port(self, own: int, port: int, size: int, value: int) -> int:
-        """Make a cycle at a port below INTERNAL_PORTS_END: of the board if it uses this port, else of the PC itself.
+        """Make a cycle at a port below INTERNAL_PORTS_END and return the byte or word that was read, 0 for a write.
+
+        The board answers if it uses this port, else the PC itself does.
 
         Args:
-            own: Address of the MACHINE record.
+            own: Address of the UNICORN_PROCESSOR record.
             port: Port number.
             size: Number of bytes.
             value: Value that is written; -1 for a read.

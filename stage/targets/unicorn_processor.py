@@ -32,7 +32,7 @@ _MEMORY_ERRORS = (6, 7, 8, 12, 13, 14)
 
 
 class _ProcessorRecord(ctypes.Structure):
-    """MACHINE record as a ctypes structure, whose fields Python accesses faster than those of a NumPy record."""
+    """UNICORN_PROCESSOR record as a ctypes structure, whose fields Python accesses faster than those of a NumPy record."""
 
     _fields_ = tuple((name, ctypes.c_int64) for name in processor_clock_and_bus_cycles.UNICORN_PROCESSOR.names or ())
 
@@ -70,7 +70,7 @@ class UnicornProcessor:
 
     Attributes:
         uc: Unicorn's object.
-        record: MACHINE record.
+        record: UNICORN_PROCESSOR record.
         ended: Whether the program has ended.
         code: Exit code of the program, once it has ended.
         fault: Error message that a callback of Unicorn has set by `fail`, or "".
@@ -136,7 +136,7 @@ class UnicornProcessor:
     # --- calls of Unicorn ---
 
     def add_hook(self, kind: int, function: Any, instruction: int = 0) -> None:
-        """Register a compiled function that Unicorn calls with the MACHINE record of processor_clock_and_bus_cycles.py.
+        """Register a compiled function that Unicorn calls with the UNICORN_PROCESSOR record of processor_clock_and_bus_cycles.py.
 
         Args:
             kind: Kind of the hook in Unicorn.

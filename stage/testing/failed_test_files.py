@@ -50,7 +50,7 @@ def choose_test_folder(config: pytest.Config, nodeid: str) -> Path:
 
 
 class FailedTestFiles:
-    """Files and report of one test with a stage.
+    """Files and report that a test with a stage leaves behind if it fails.
 
     Args:
         item: Test.

@@ -38,7 +38,9 @@ MAX_CANDIDATE_ROUNDS = 3
 MAX_HARD_CASES = 6  # cases in which most of the failed trials failed: the others must pass them
 MACHINE_POOL_SIZE = 4 * DEFAULT_PROOF_MOVES  # machines of which the weakest make the moves of the search
 LEADER_CASE_COUNT = 18  # further cases for a trial that leads
-SEARCH_MARGIN_FACTOR = 1.25  # the search keeps more than the margin, so that fewer of its results fail the proof
+SEARCH_PAYLOAD_MARGIN_FACTOR = (
+    1.25  # the search keeps more than the margin, so that fewer of its results fail the proof
+)
 ANGLES_PER_PAYLOAD = 2  # rotor angles of each payload in a trial
 SETTLING_TIME_FACTORS = (1.0, 4.0)  # multiples of the move's own duration: a swinging load settles late
 
@@ -150,8 +152,8 @@ def _draw_cases(planner: MovePlanner, seed: int, moves: int) -> ProofCases:
     weakest = sorted(proving, key=planner.compute_thrust_left)
     return ProofCases(
         task.build_corner_cases(trial_rng, ANGLES_PER_PAYLOAD, 1.0, weak),
-        task.build_corner_cases(trial_rng, ANGLES_PER_PAYLOAD, SEARCH_MARGIN_FACTOR, weak),
-        task.draw_cases(leader_rng, LEADER_CASE_COUNT, SEARCH_MARGIN_FACTOR, draw(LEADER_CASE_COUNT)),
+        task.build_corner_cases(trial_rng, ANGLES_PER_PAYLOAD, SEARCH_PAYLOAD_MARGIN_FACTOR, weak),
+        task.draw_cases(leader_rng, LEADER_CASE_COUNT, SEARCH_PAYLOAD_MARGIN_FACTOR, draw(LEADER_CASE_COUNT)),
         task.draw_cases(candidate_rng, unseen_count, 1.0, draw(unseen_count)),
         task.draw_cases(proof_rng, moves, 1.0, proving),
         (spare_seed, [weakest[k % moves] for k in range(SPARE_MACHINE_COUNT)]),

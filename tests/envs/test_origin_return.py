@@ -291,7 +291,10 @@ def test_start_positions_cover_the_range_between_the_end_limits():
     for _ in range(200):
         env._task._draw_move(0, {})
         places.append(env._task.place[0])
-    low, high = env._task.switch.low + returns.LIMIT_CLEARANCE_M, env._task.switch.high - returns.LIMIT_CLEARANCE_M
+    low, high = (
+        env._task.switch.low + returns.START_LIMIT_CLEARANCE_M,
+        env._task.switch.high - returns.START_LIMIT_CLEARANCE_M,
+    )
     assert low <= min(places) < low + 5e-3
     assert high - 5e-3 < max(places) <= high
     for end, place in ((lambda a, b: a, low), (lambda a, b: b, high)):

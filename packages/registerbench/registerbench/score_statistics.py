@@ -185,7 +185,9 @@ class ScoreRow:
         return self.task, self.split, self.track, self.round
 
     def beats(self, other: ScoreRow) -> bool:
-        """Return whether this player beats another: nothing is doubtful, and it is better on the same machines.
+        """Return whether this player beats another without doubt.
+
+        It does if the whole interval of the difference of their IQMs on the same machines is above 0, and its row has no doubt.
 
         Args:
             other: Row of the same task, split, track and round.

@@ -177,7 +177,7 @@ def test_the_learning_curve_is_the_running_maximum_reward_of_moves_without_lost_
     log = MoveLog()
     for reward, duration, saved in ((-9, 1, False), (-3, 3, True), (-1, 9, False), (-4, 2, True), (-2, 5, True)):
         log.append_move(reward, duration, 0, 0.0, saved, [1], (2000, 0.5, 0.0))
-    np.testing.assert_equal(log.compute_curve(), [-np.inf, -3, -3, -3, -2])
+    np.testing.assert_equal(log.compute_best_rewards_so_far(), [-np.inf, -3, -3, -3, -2])
     assert log.ranking == [4, 1, 3]
 
 

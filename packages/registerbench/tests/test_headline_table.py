@@ -43,7 +43,7 @@ def test_one_command_makes_the_table_from_nothing_and_continues_after_an_interru
     assert float(rows["oracle"]["normalized"]) == 1 > float(rows["random"]["normalized"])
     assert rows["formula"]["replayed"] == "True"
     with (tmp_path / "costs.csv").open() as file:
-        assert [row["job"] for row in csv.DictReader(file)][: jobs - 1][-1] == "oracle 0 on one-shot weak"
+        assert "oracle 0 on one-shot weak" in {row["job"] for row in csv.DictReader(file)}
     run_quick(tmp_path)
     assert capsys.readouterr().out.startswith(f"0 jobs ({jobs} more are done, 0 left out)")
     assert (tmp_path / "headline.md").read_text() == text

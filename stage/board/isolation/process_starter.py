@@ -52,7 +52,7 @@ SANITIZER_ENVIRONMENT = {
 }
 
 
-class ProcessContext(NamedTuple):
+class ChildEnvironment(NamedTuple):
     """Environment, working folder and sys.path with which a child process starts.
 
     Attributes:
@@ -188,7 +188,7 @@ class ProcessStarter:
 
     def start(self, pipe: int) -> ChildProcess:
         """Start a child process that gets this end of a pipe."""
-        context = ProcessContext(dict(os.environ), _find_working_folder(), list(sys.path))
+        context = ChildEnvironment(dict(os.environ), _find_working_folder(), list(sys.path))
         ours, theirs = socket.socketpair()
         with theirs:
             files = [pipe, theirs.fileno(), 1, 2]
@@ -363,7 +363,7 @@ def _kill_child(pid: int, ended: bool = False) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-def _become_child(context: ProcessContext, files: list[int], run: Callable[[int], None]) -> None:
+def _become_child(context: ChildEnvironment, files: list[int], run: Callable[[int], None]) -> None:
     """Turn this forked process into a child that runs firmware, and exit when the firmware has ended."""
     code = 1
     try:

@@ -33,7 +33,7 @@ def _compute_encoder_counts_per_ring_count(chip):
 
 
 @hot
-def compute_ring_position(chip):
+def compute_unwrapped_ring_count(chip):
     """Compute the count of the commutation ring before the modulo by the ring's length R18."""
     return (
         chip.ring_position
@@ -51,7 +51,7 @@ def restart_ring(chip):
 @hot
 def hold_ring(chip):
     """Hold the commutation ring at its present count while F4 is set. Call this before F4 is set."""
-    chip.ring_position = compute_ring_position(chip)
+    chip.ring_position = compute_unwrapped_ring_count(chip)
 
 
 @hot
@@ -81,7 +81,7 @@ def compute_phase_pins(chip):
     ring, slot = chip.reg[RING], chip.reg[X] + chip.reg[Y]
     if ring == 0 or slot == 0:
         return 0
-    at = (compute_ring_position(chip) + to_signed(chip.reg[OFFSET], 8) + compute_phase_advance(chip)) % ring
+    at = (compute_unwrapped_ring_count(chip) + to_signed(chip.reg[OFFSET], 8) + compute_phase_advance(chip)) % ring
     k = at // slot % (last + 1)
     word = PHA << k
     return word | PHA << (k + 1) % (last + 1) if at % slot >= chip.reg[X] else word

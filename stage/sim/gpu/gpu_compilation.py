@@ -21,7 +21,7 @@ from stage.support.extras import import_extra
 FEATURE_NAME = "a fleet on a GPU"
 """Name of the feature that needs the libraries, for error messages."""
 FULL_WARP_MASK = 0xFFFFFFFF
-INLINED_FUNCTIONS = ("_flag_edges",)
+INLINED_FUNCTIONS = ("_get_flag_edges",)
 """Functions that return an array made from an address, which numba-cuda only takes where it is inlined."""
 
 
@@ -134,7 +134,7 @@ def make_cuda_tools() -> CompilerTools:
         return cuda.libdevice.floor(float(x))
 
     @cuda.jit(device=True)
-    def is_true_in_warp(condition: Any) -> Any:
+    def is_any_true_in_warp(condition: Any) -> Any:
         return cuda.any_sync(FULL_WARP_MASK, condition)
 
     @cuda.jit(device=True)
@@ -150,8 +150,8 @@ def make_cuda_tools() -> CompilerTools:
         kernel=cuda.jit,
         replaced={native.array_at: array_at, native.allocate_on_stack: allocate_on_stack, native.floor: floor},
         lane_names={
-            "is_true_in_warp": is_true_in_warp, "read_value_in_warp": read_value_in_warp, "get_thread_number": get_thread_number,
-            "view_as_words": view_as_words, "cuda": cuda,
+            "is_any_true_in_warp": is_any_true_in_warp, "read_value_in_warp": read_value_in_warp,
+            "get_thread_number": get_thread_number, "view_as_words": view_as_words, "cuda": cuda,
         },
     )  # fmt: skip
 

@@ -33,7 +33,7 @@ DRIVE: Any = None
 LANES = AXES = SWITCHES = BUS = 1
 W_STATE = W_AXES = W_DRIVES = W_SWITCHES = W_WORLD = W_HOST = 1
 HAS_ENCODERS = False
-is_true_in_warp: Any = None
+is_any_true_in_warp: Any = None
 read_value_in_warp: Any = None
 get_thread_number: Any = None
 view_as_words: Any = None
@@ -262,7 +262,7 @@ def advance_lanes(
     start, end, now = world.start, world.start + dt, world.now
     chip_now, slice_now = now, world.slice
     acting, running = in_use and host.status == PLAYING, in_use and not host.frozen
-    while is_true_in_warp(running):
+    while is_any_true_in_warp(running):
         kind, op, a, b, x = END, host.op, 0, 0, 0
         target, axis, polled, moving, beyond, judged = -1, -1, 0, 0, False, False
         if running and not acting:  # nothing more to do in this window, or the program is over
@@ -287,7 +287,7 @@ def advance_lanes(
                 if kind in (WRITE, READ) and places[a].lane == lane:
                     target = now
         working = running and target > chip_now
-        if is_true_in_warp(working) and working:  # the only place: a chip's code is long
+        if is_any_true_in_warp(working) and working:  # the only place: a chip's code is long
             slice_now = run_chip(c, axes, table, switches, switch_table, world, dt, slice_now, chip_now, target)
             chip_now = target
         if running and not acting and target >= 0:
@@ -312,7 +312,7 @@ def advance_lanes(
                     place = read_point_coordinate(sites, bodies, copy, b, x)
                 results[copy, op] = int(math.floor(place * 1e12))
             end_operation(host)
-        if is_true_in_warp(polling):
+        if is_any_true_in_warp(polling):
             if axis >= 0 and core_interface.is_busy(c, places[axis].axis):
                 moving = 1 << axis
             if (

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from stage.sim import flag_distances as flag_scan
-from stage.sim import mujoco_callbacks
+from stage.sim import mujoco_callback_guards
 from stage.sim.engine_records import SWITCH_PINS
 from stage.sim.mujoco_function_addresses import find_mujoco_address
 from stage.sim.plant.model_preparation import read_texts
@@ -331,7 +331,7 @@ class SwitchFinder:
     def _compute_sensors_at(self, joint: int, position: float) -> None:
         """Compute positions, contacts and sensors with one joint at a position and the other joints at qpos0."""
         self._set_joint_position(joint, position)
-        mujoco_callbacks.forward_guarded(self.model, self.data)
+        mujoco_callback_guards.forward_guarded(self.model, self.data)
 
     def _measure_distance(self, joint: int, position: float, vane: int, switch: int) -> float:
         """Measure the distance of vane and switch with one joint at a position, m."""

@@ -1,6 +1,6 @@
 """Measuring agents of any kind: games, players, and transcripts that anybody can replay without the agent.
 
-    result = play(make_suite("diagnosis"), make_player("technician"))
+    result = play_games(make_suite("diagnosis"), make_player("technician"))
     print(result)                                 a score with its interval, and the number of games
     write_transcript(result, "technician.jsonl")
     assert replay("technician.jsonl").is_same     the same calls again, compared bit for bit

@@ -422,7 +422,7 @@ def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
         selected_runs = select_runs(runs, payload, method)
         if not selected_runs:
             continue
-        curves = 1e3 * np.array([r.search_log.compute_curve() for r in selected_runs])
+        curves = 1e3 * np.array([r.search_log.compute_best_rewards_so_far() for r in selected_runs])
         known = np.isfinite(curves).all(axis=0)
         at = np.arange(1, curves.shape[1] + 1)[known]
         ax.plot(at, np.median(curves[:, known], axis=0), color=method.color, lw=2)

@@ -92,7 +92,7 @@ class MoveLog:
         """Indices of the logged moves that kept step, the highest reward first."""
         return sorted(np.flatnonzero(self.in_step).tolist(), key=lambda k: -self.reward[k])
 
-    def compute_curve(self) -> np.ndarray:
+    def compute_best_rewards_so_far(self) -> np.ndarray:
         """Return the highest reward of a move that kept step, after each move; -inf before the first."""
         return np.maximum.accumulate(np.where(self.in_step, self.reward, -np.inf))
 

@@ -74,7 +74,7 @@ class StepDirTMC5160(StepDirAxisWithRegisters):
         return {"clock_hz": self.clock_hz, "rsense": self.rsense, "f_clk": self.f_clk}
 
     def fit_drive(self, drive: Any, axis: int = 0) -> None:
-        """Take what the chip needs from the drive of the axis: its microsteps, in which positions count."""
+        """Take the number of microsteps from the drive of the axis: positions are counted in microsteps of the drive."""
         super().fit_drive(drive, axis)
         self._record["unit"] = PLACES_PER_FULL_STEP // drive.microsteps
 

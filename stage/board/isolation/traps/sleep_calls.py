@@ -93,7 +93,7 @@ def redirect_calls(handle: int, functions: Mapping[str, Any]) -> None:
 
 
 def _make_reporter(name: str) -> Callable[..., int]:
-    """Make a function that calls the system's function of this name and reports the call."""
+    """Make a function that reports a call to the observer and then calls the system's function of this name."""
 
     def call_and_report(*arguments: int) -> int:
         """Report this call of a system function to the observer, and make it."""
