@@ -145,10 +145,10 @@ def test_waveforms_end_where_their_journal_was_closed_and_a_newer_journal_contin
     older.close()
     closed = x.chip.clock
     xy.run(0.0213)
-    assert (older.until, int(older.replay_waveforms().edges["clock"][-1])) == (closed, closed)
-    assert younger.until == x.chip.clock == int(younger.replay_waveforms().edges["clock"][-1]) > closed
+    assert (older.end_clock, int(older.replay_waveforms().edges["clock"][-1])) == (closed, closed)
+    assert younger.end_clock == x.chip.clock == int(younger.replay_waveforms().edges["clock"][-1]) > closed
     hear_a_switch(xy, older, x.chip.journal(), younger)
-    assert (older.until, x.chip.open_journal) == (closed, None)
+    assert (older.end_clock, x.chip.open_journal) == (closed, None)
 
 
 def test_after_the_reset_pin_words_go_to_x_and_data_are_0_in_the_decoded_writes_too():

@@ -335,7 +335,7 @@ def test_a_diverging_stage_ends_only_the_episode_of_its_environment(any_):
             break
     assert truncated[1]
     assert infos["cause"][1] == "diverged"
-    assert infos["reward_parts"]["diverged"][1] == rewards[1] == stage.envs.stage_env.DIVERGED
+    assert infos["reward_parts"]["diverged"][1] == rewards[1] == stage.envs.stage_env.DIVERGENCE_REWARD
     assert is_identical(observed[1], last), "nothing of it is observed"
     assert np.isfinite(observed).all()
     for k in (0, 2):

@@ -14,7 +14,7 @@ class PositionHost:
     def get_position(self):
         return self.at
 
-    def changes(self, *arguments):
+    def register_signals(self, *arguments):
         self.requests.append(arguments)
         return ["changes"]
 

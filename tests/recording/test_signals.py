@@ -117,11 +117,11 @@ def test_the_direction_is_that_of_the_last_write_and_plus_after_the_reset_pin():
         SimpleNamespace(kind=kind, clock=clock, a=0, b=b)
         for kind, clock, b in ((WRITE, 110, 1), (WRITE, 120, 2), (WRITE, 130, 3), (RESET, 140, 3), (WRITE, 150, 3))
     ]
-    clocks, minus = pin_signals.list_directions(chip, SimpleNamespace(start=start, entries=entries))
+    clocks, minus = pin_signals.list_directions(chip, SimpleNamespace(start_state=start, entries=entries))
     assert clocks.tolist() == [100, 120, 130, 140, 150]
     assert minus.tolist() == [True, False, True, False, True]
     unmodified = np.array([(7, 1)], [("clock", "i8"), ("other", "i8")])[0]
-    clocks, minus = pin_signals.list_directions(chip, SimpleNamespace(start=unmodified, entries=entries))
+    clocks, minus = pin_signals.list_directions(chip, SimpleNamespace(start_state=unmodified, entries=entries))
     assert (clocks.tolist(), minus.tolist()) == ([7], [False])
 
 

@@ -267,7 +267,7 @@ def test_a_uart_without_transmitter_keeps_its_empty_data_register(tmp_path):
     assert run_on_simavr(*assemble(script, tmp_path / "script"))[:-1] == [empty, empty, empty]
 
 
-@pytest.mark.parametrize("structure", ["AVR", "MODULE", "TIMER", "IRQ", "UART"])
+@pytest.mark.parametrize("structure", ["AVR_T", "AVR_MODULE_T", "AVR_TIMER_T", "AVR_IRQ_T", "AVR_UART_T"])
 @pytest.mark.parametrize("distance", [4, 8, 64])
 def test_a_library_with_another_layout_is_refused_with_its_version(structure, distance, monkeypatch):
     usual = getattr(simavr_structure_offsets, structure)
