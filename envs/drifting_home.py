@@ -47,7 +47,17 @@ from stage.envs import machine_contexts, machine_faults
 from stage.envs.hidden_machine_task import MachineSettings, MachineTask
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
-from stage.envs.settings import AxisName, Count, NumberSetting, Pair, PositiveNumber, RangeSetting, Seconds, Weight
+from stage.envs.settings import (
+    AxisName,
+    Boolean,
+    Count,
+    NumberSetting,
+    Pair,
+    PositiveNumber,
+    RangeSetting,
+    Seconds,
+    Weight,
+)
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.errors import ArgumentError
@@ -73,6 +83,7 @@ class Config(MachineSettings):
 
     Attributes:
         axis: Name of the axis.
+        reduced: Whether the other axes are locked and left out of the physics, see reduced_model.py.
         healthy: Share of the machines that have no fault.
         walk: Largest distance by which ORG moves between two returns, m; these distances add up.
         noise: Largest random distance, at one return, between the place of ORG and the position at which it trips, m.
@@ -93,6 +104,7 @@ class Config(MachineSettings):
 
     FAULTS = machine_faults.DISABLING_FAULTS
     axis: AxisName = "x"
+    reduced: Boolean = False
     healthy: Annotated[float, NumberSetting(high=1.0)] = 0.6
     walk: Annotated[float, NumberSetting(high=1e-3)] = 2e-5
     noise: Annotated[float, NumberSetting(high=1e-3)] = 5e-6

@@ -88,6 +88,7 @@ class Config(MachineSettings):
 
     Attributes:
         axis: Name of the axis.
+        reduced: Whether the other axes are locked and left out of the physics, see reduced_model.py.
         distances: Smallest and largest distance, pulses, drawn evenly by their logarithm.
         judge_at: Site or body at which vibration is observed; None: see `find_judged_point`.
         tries: Number of attempts in an episode.
@@ -102,6 +103,7 @@ class Config(MachineSettings):
     """
 
     axis: AxisName = "x"
+    reduced: Boolean = False
     distances: CountRange = (1600, 16_000)
     judge_at: AxisName | None = None
     tries: Count = 8

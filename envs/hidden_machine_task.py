@@ -23,6 +23,7 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import machine_contexts, machine_faults
+from stage.envs.reduced_model import reduce_model
 from stage.envs.settings import (
     AxisName,
     BusCycleSeconds,
@@ -111,6 +112,8 @@ class HiddenMachineTask(Task[ConfigT]):
     def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
         model, chip = (machine_contexts.get_split_setting(c, name) for name in ("model", "chip"))
+        if getattr(c, "reduced", False):
+            model = reduce_model(model, c.axis)
         new_stage = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
         for name in self.axis_names:
             if name not in new_stage.axes:

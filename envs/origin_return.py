@@ -48,6 +48,7 @@ from stage.chips import Chip, chip_class
 from stage.envs import settings
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
+from stage.envs.reduced_model import reduce_model
 from stage.envs.register_scaling import RegisterBox
 from stage.envs.scaling import scale_linear, scale_log
 from stage.envs.stage_env import StageEnv, StageVectorEnv
@@ -72,6 +73,7 @@ class Config(settings.Settings):
         model: Name of the model.
         chip: Name or class of the chip.
         axis: Name of the axis.
+        reduced: Whether the other axes are locked and left out of the physics, see reduced_model.py.
         actions: "box": numbers from -1 to 1; "registers": the integers themselves.
         returns: Number of returns in an episode.
         payloads: Smallest and largest payload, kg, drawn evenly.
@@ -97,6 +99,7 @@ class Config(settings.Settings):
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
     axis: settings.AxisName = "x"
+    reduced: settings.Boolean = False
     actions: settings.ActionKind = "box"
     returns: settings.Count = 5
     payloads: settings.PayloadRange = (0.0, 10.0)
@@ -162,7 +165,8 @@ class OriginReturn(MoveTask[Config]):
 
     def make_stage(self, visuals: bool) -> Stage:
         c = self.config
-        new_stage = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        model = reduce_model(c.model, c.axis) if c.reduced else c.model
+        new_stage = Stage(model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in new_stage.axes:
             raise unknown_name_error("axis", c.axis, new_stage.axes)
         return new_stage

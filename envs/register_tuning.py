@@ -50,6 +50,7 @@ class Config(settings.Settings):
         chip: Name or class of the chip.
         s_curve: Whether moves have S-curves; None: only on a PCL240MS.
         axis: Name of the axis.
+        reduced: Whether the other axes are locked and left out of the physics, see reduced_model.py.
         actions: "box": numbers from -1 to 1; "registers": the integers themselves.
         distances: Smallest and largest distance, pulses, drawn evenly by their logarithm.
         payloads: Smallest and largest payload, kg, drawn evenly.
@@ -70,6 +71,7 @@ class Config(settings.Settings):
     chip: str | type[Chip] = "PCL240K"
     s_curve: settings.Boolean | None = None
     axis: settings.AxisName = "x"
+    reduced: settings.Boolean = False
     actions: settings.ActionKind = "box"
     distances: settings.CountRange = (1600, 32000)
     payloads: settings.PayloadRange = (0.0, 10.0)

@@ -55,6 +55,7 @@ class Config(settings.Settings):
         model: Name of the model.
         chip: Name or class of the chip.
         axis: Name of the axis.
+        reduced: Whether the other axes are locked and left out of the physics, see reduced_model.py.
         motion: "step" for position steps, "trapezoid" for trapezoidal profiles.
         actions: "box": numbers from -1 to 1; "registers": the integers themselves.
         distances: Smallest and largest distance, counts, drawn evenly by their logarithm; trapezoids need longer distances.
@@ -76,6 +77,7 @@ class Config(settings.Settings):
     model: str = "xyz_servo"
     chip: str | type[Chip] = "HCTL1100"
     axis: settings.AxisName = "x"
+    reduced: settings.Boolean = False
     motion: Annotated[str, settings.ChoiceSetting(MOTIONS)] = "step"
     actions: settings.ActionKind = "box"
     distances: settings.CountRange = (50, 500)

@@ -18,6 +18,7 @@ from stage import Stage
 from stage.chips import Chip
 from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
+from stage.envs.reduced_model import reduce_model
 from stage.envs.register_scaling import RegisterBox
 from stage.envs.scaling import scale_linear, scale_log
 from stage.envs.settings import read_number_option
@@ -59,8 +60,8 @@ def make_move_info_features(unit: str, turn: str) -> tuple[Feature, ...]:
 class TuningTask(MoveTask[ConfigT]):
     """Base of the tasks in which an action chooses the registers of one move.
 
-    The Config of a subclass has at least `model`, `axis`, `actions` ("box" or "registers"), `distances` and `payloads` (ranges from
-    which they are drawn), `payload_on`, `moves` (of an episode), `limit` (s, of a move) and `bus_cycle`.
+    The Config of a subclass has at least `model`, `axis`, `reduced`, `actions` ("box" or "registers"), `distances` and `payloads`
+    (ranges from which they are drawn), `payload_on`, `moves` (of an episode), `limit` (s, of a move) and `bus_cycle`.
     """
 
     OPTIONS: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle")
@@ -92,7 +93,8 @@ class TuningTask(MoveTask[ConfigT]):
 
     def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
-        new_stage = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
+        model = reduce_model(c.model, c.axis) if c.reduced else c.model
+        new_stage = Stage(model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in new_stage.axes:
             raise unknown_name_error("axis", c.axis, new_stage.axes)
         return new_stage

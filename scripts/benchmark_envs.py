@@ -4,6 +4,7 @@ python scripts/benchmark_envs.py [--most 512] [--ids RegisterTuning] [--rounds 5
 python scripts/benchmark_envs.py --chips PCL240K MCX514 MCX304 --markdown      rows of the table of docs/envs.md
 python scripts/benchmark_envs.py --overhead     what a step costs beside its physics: RegisterBus beside Gymnasium's MujocoEnv, a
                                                 macro of BusMacros without effect
+python scripts/benchmark_envs.py --reduced      moves a second with the reduced model, beside the whole machine
 
 Every line is one environment with a number of stages under random actions. In each round, the same episodes (seeds and actions)
 are played by our vector environment and by gymnasium.vector.SyncVectorEnv of our scalar one. A mujoco.batch.Batch of the bare
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import time
 from functools import partial
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 
@@ -154,6 +156,20 @@ def measure_overhead(rounds):
     print(f"  SyncVectorEnv / vector, 64 environments: {' '.join(format_spread(ratio))} times")
 
 
+def measure_reduced(args):
+    """Print how many times as many moves tasks of one axis make in a second with the reduced model."""
+    clock = time.process_time if args.cpu else time.perf_counter
+    for id_ in select_ids(args.ids):
+        if not hasattr(import_module(f"stage.envs.{stage.envs.IDS[id_].split(':')[0]}").Config, "reduced"):
+            continue
+        complete, reduced = (make_vector_env(id_, 16, args.threads, reduced=on) for on in (False, True))
+        episodes = RandomEpisodes(complete, args.seconds)
+        seconds = np.array([[episodes.play(envs, clock) for envs in (complete, reduced)] for _ in range(args.rounds)])
+        moves, ratio = 16 * len(episodes.actions) / seconds, seconds[:, 0] / seconds[:, 1]
+        rates = " and ".join(format_spread(column)[0] for column in moves.T)
+        print(f"{id_:28} {' '.join(format_spread(ratio))} times: {rates} moves/s", flush=True)
+
+
 def measure_growth(kind, id_, n, settings):
     """Measure the memory of each of n further stages after a step.
 
@@ -245,6 +261,7 @@ def main():
     parser.add_argument("--json")
     parser.add_argument("--markdown", action="store_true", help="rows of a table in place of columns, without memory")
     parser.add_argument("--overhead", action="store_true", help="what a step costs beside its physics")
+    parser.add_argument("--reduced", action="store_true", help="moves a second with the reduced model")
     parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.grow:
@@ -252,6 +269,9 @@ def main():
         return
     if args.overhead:
         measure_overhead(args.rounds)
+        return
+    if args.reduced:
+        measure_reduced(args)
         return
     table = {}
     print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)"
