@@ -13,7 +13,8 @@ from support.extras import needs_rerun
 from support.recording_bench import rerun_cli
 
 from stage import Stage
-from stage.cli import GROUPS, build_parser, demo, main
+from stage.cli import COMMANDS, GROUPS, build_parser, demo, main
+from stage.cli.package_commands import PACKAGE_BY_COMMAND
 
 
 def run_command(capsys, *argv, code=0):
@@ -272,12 +273,28 @@ def test_the_help_lists_each_command_once_by_the_goal_of_a_user(capsys):
         main(["--help"])
     text = capsys.readouterr().out
     listed = re.findall(r"^  ([a-z-]+)  +\w", text, re.M)
-    (action,) = (a for a in build_parser(["demo"])._actions if a.metavar == "COMMAND")
+    (action,) = (a for a in build_parser()._actions if a.metavar == "COMMAND")
     commands = [name for name in listed if name != "stage"]
     assert set(action.choices) <= set(commands)
     assert len(set(commands)) == len(commands)
     assert re.findall(r"^(\w[\w ]*):$", text, re.M)[1:-1] == list(GROUPS)
     assert max(map(len, text.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_parser_of_one_command_has_the_help_of_all(name):
+    """The parser of `stage home` imports and builds nothing of the other modules."""
+    full, alone = (
+        next(a for a in build_parser(words)._actions if a.metavar == "COMMAND").choices for words in ((), (name,))
+    )
+    assert name in alone
+    assert set(alone) == {other for other, module in COMMANDS.items() if module == COMMANDS[name]}
+    assert alone[name].format_help() == full[name].format_help()
+
+
+def test_every_command_of_the_parser_has_its_module():
+    choices = next(a for a in build_parser()._actions if a.metavar == "COMMAND").choices
+    assert set(choices) - set(COMMANDS) <= set(PACKAGE_BY_COMMAND)
 
 
 @needs_rerun
@@ -300,7 +317,7 @@ def test_a_command_in_a_pipe_ends_even_if_its_screen_does_not_answer(work_folder
 
 
 def test_no_window_has_one_name_in_all_commands_and_the_former_ones_work():
-    parser = build_parser(["demo"])
+    parser = build_parser()
     for words in (["demo"], ["panel"], ["run", "a.c"], ["serve"]):
         former = "--no-view" if words == ["demo"] else "--no-browser"
         assert parser.parse_args([*words, "--no-window"]).no_window

@@ -29,7 +29,8 @@ def test_every_help_ends_with_examples_that_are_right(name, capsys):
     assert any(f"stage {name}" in line for line in examples)
     for line in examples:
         typed = line.split("  ")[0].split("$(")[-1].split(")")[0].split(" | ")[0]
-        args = build_parser().parse(shlex.split(typed)[1:])
+        words = shlex.split(typed)[1:]
+        args = build_parser(words).parse(words)
         assert args.run is not None, line
     with pytest.raises(SystemExit):
         main([name, "--help"])

@@ -186,7 +186,8 @@ def check_commands(page: Path, packages: bool = False) -> None:
     for command in [*find_commands(page, packages), *re.findall(r"`(stage [a-z][^`]*)`", text)]:
         if command.split()[1] in PACKAGE_BY_COMMAND and not packages:
             continue
-        build_parser().parse_args(shlex.split(command)[1:])  # ends the program with its usage if it does not know them
+        words = shlex.split(command)[1:]
+        build_parser(words).parse_args(words)  # ends the program with its usage if it does not know them
     for script, arguments in re.findall(r"python (scripts/[\w/]+\.py)([^`#\n]*)", text):
         source = "".join(path.read_text() for path in (ROOT / script).parent.glob("*.py"))
         for option in re.findall(r"--[\w-]+", arguments):

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stage.cli.argument_parser import Parser
 
-MODULES = (
-    "demo", "home", "move", "tune", "mcp", "run", "replay", "serve", "ioc", "panel", "fault", "erratum", "export", "example",
-    "listing", "pullout", "view", "new_model", "completion",
-)  # fmt: skip
-"""Modules of this package that add commands."""
+COMMANDS = {
+    "demo": "demo", "home": "home", "move": "move", "dual-rate": "move", "sync": "move", "tune": "tune", "mcp": "mcp",
+    "run": "run", "include": "run", "replay": "replay", "serve": "serve", "ioc": "ioc", "panel": "panel", "fault": "fault",
+    "erratum": "erratum", "export": "export", "example": "example", "list": "listing", "chips": "listing",
+    "registers": "listing", "pullout": "pullout", "view": "view", "new-model": "new_model", "completion": "completion",
+}  # fmt: skip
+"""Commands of PulseStage, and the module of this package that adds each."""
 
 GROUPS = {
     "see": ("demo", "panel", "view", "fault", "erratum", "pullout"),
@@ -101,7 +103,8 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     """Build the parser of the command line. This is fast, because a command imports its libraries only when it runs.
 
     Args:
-        words: The typed words. Commands of other packages are looked for only if the first word is no command of PulseStage.
+        words: The typed words. If the first one is a command of PulseStage, the parser has no other commands than those of its
+            module, and other packages are not searched for commands.
     """
     from stage import __version__
     from stage.cli.argument_parser import Parser
@@ -114,9 +117,10 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(prog="stage", metavar="COMMAND", help=argparse.SUPPRESS)
-    for name in MODULES:
+    module = COMMANDS.get(words[0]) if words else None
+    for name in dict.fromkeys(COMMANDS.values()) if module is None else (module,):
         import_module(f"stage.cli.{name}").add_subcommand(commands)
-    if not (words and words[0] in commands.choices):
+    if module is None:
         add_package_commands(commands)
     parser.epilog = f"{format_groups(commands)}\n{EPILOG}"
     return parser
