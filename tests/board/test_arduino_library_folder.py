@@ -66,8 +66,7 @@ def write_library(folder: Path, detail: str = "src/detail") -> Path:
     return folder
 
 
-@pytest.mark.parametrize("detail", ["src/detail", "utility"])
-@pytest.mark.parametrize("ending", [".ino", ".pde"])
+@pytest.mark.parametrize(("detail", "ending"), [("src/detail", ".ino"), ("utility", ".pde")])
 def test_a_library_is_compiled_from_its_folder_in_both_layouts(detail, ending, tmp_path):
     library = write_library(tmp_path / "Blinker", detail)
     (tmp_path / f"blink{ending}").write_text(SKETCH)
