@@ -240,7 +240,7 @@ def _compile_cplusplus(
     def compile_source(numbered: tuple[int, str]) -> tuple[Path, str]:
         k, source = numbered
         output = folder / f"{k}-{Path(source).stem}.cpp.o"
-        options = _leave_out_user_folders(command) if Path(source).is_relative_to(platforms.FOLDER) else command
+        options = _select_platform_flags(command) if Path(source).is_relative_to(platforms.FOLDER) else command
         return cache.compile(Path(source), [*options, source], output, lambda full: _compile(main, full, platform))
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -271,10 +271,15 @@ def _compile_registers(
     return str(output)
 
 
-def _leave_out_user_folders(command: Sequence[str]) -> list[str]:
-    """Return a command without the include folders of a project, so that a platform's source is compiled once for all."""
+_USER_CHOICES = re.compile(r"-I(?=.)|-O|-g(?!nu)|-std=|-w$|-W(?![lpa],)")
+"""Flags that are about the user's sources: folders, optimization, language and warnings."""
+
+
+def _select_platform_flags(command: Sequence[str]) -> list[str]:
+    """Return a command without what is about the user's sources, so that a platform's source is compiled once for all."""
     package_folder = f"-I{get_include_folder()}"
-    return [flag for flag in command if not flag.startswith("-I") or flag == "-I" or flag.startswith(package_folder)]
+    selected = [flag for flag in command if flag.startswith(package_folder) or not _USER_CHOICES.match(flag)]
+    return [*selected, "-O2", "-g"]
 
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:

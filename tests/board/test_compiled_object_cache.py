@@ -90,6 +90,12 @@ def test_other_flags_are_another_object_file(project):
     assert project.build("-DOTHER") == project.build() == []
 
 
+@pytest.mark.parametrize("flag", ["-O0", "-g0", "-std=gnu++14", "-Wall", "-Werror", "-w"])
+def test_the_source_of_the_platform_is_compiled_once_for_all_choices_about_the_users_sources(project, flag):
+    project.build()
+    assert project.build(flag) == ["part.cpp", "sketch.ino.cpp"]
+
+
 def test_a_damaged_object_file_is_compiled_again(project):
     project.build()
     for file in project.cache.glob("*.o"):
