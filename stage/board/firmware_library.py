@@ -182,7 +182,7 @@ def build(
             target,
             files,
             Path(folder),
-            lambda source, more: _preprocess(source, more, flags, folder),
+            lambda source, more: _preprocess(source, more, flags),
             flags,
             _find_report_flags(tuple(flags)) if target is not None and target.c_registers else (),
         )
@@ -359,15 +359,14 @@ def _is_loaded(symbol: str) -> bool:
     return bool(re.match("__(?:[a-z]{1,2}san_|sanitizer_)", symbol)) or hasattr(ctypes.CDLL(None), symbol)
 
 
-def _preprocess(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> str:
+def _preprocess(source: Path, platform_flags: Sequence[str], flags: Sequence[str]) -> str:
     """Return the preprocessed text of a C source, in which registers can be memory, and the errors of the preprocessor."""
-    output = Path(folder, "preprocessed")
     command = [
         *find_compiler().split(), "-E", *platform_flags, f"-D{platforms.REGISTERS_IN_C}", f"-I{get_include_folder()}",
-        *_select_c_flags(flags), str(source), "-o", str(output),
+        *_select_c_flags(flags), str(source),
     ]  # fmt: skip
-    errors = run_program(command).stderr
-    return errors + (output.read_text(**platforms.ENCODING) if output.is_file() else "")
+    result = run_program(command)
+    return result.stderr + result.stdout
 
 
 def _find_report_flags(flags: tuple[str, ...]) -> tuple[str, ...]:

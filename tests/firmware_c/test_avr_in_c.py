@@ -422,6 +422,40 @@ def test_a_message_names_the_source_and_its_line(tmp_path):
         build(tmp_path / "main.c", platform="avr")
 
 
+def test_a_header_that_is_missing_is_the_only_one_in_the_message(tmp_path):
+    (tmp_path / "main.c").write_text("#include <avr/io.h>\n#include <absent.h>\nint main(void) { return 0; }\n")
+    with pytest.raises(CompileError, match=r"main\.c:2:\d+: fatal error: .*absent\.h") as error:
+        build(tmp_path / "main.c", platform="avr")
+    assert "is C++ here" not in str(error.value)
+
+
+def test_a_sketch_and_its_source_in_c_share_the_registers(tmp_path):
+    folder = tmp_path / "both"
+    folder.mkdir()
+    (folder / "both.ino").write_text("""\
+extern "C" void c_set(volatile unsigned char *port);
+extern "C" int c_get(void);
+void setup() {
+  pinMode(13, OUTPUT);
+  c_set(portOutputRegister(digitalPinToPort(8)));
+  Serial.println(digitalRead(13));
+  PORTC = 0x15;
+  Serial.println(c_get());
+  pulsestage::end(0);
+}
+void loop() {}
+""")
+    (folder / "led.c").write_text("""\
+#include <avr/io.h>
+static int class;
+void c_set(volatile unsigned char *port) { PORTB |= 1 << 5; *port |= 1; class = 1; }
+int c_get(void) { return PORTC + 100 * PORTB + class; }
+""")
+    with NativeHost(folder / "both.ino", make_board()) as host:
+        host.run(timeout=1)
+        assert [text for _, text in host.log][-2:] == ["1", str(0x15 + 100 * 0x21 + 1)]
+
+
 SIMPLE = "#include <avr/io.h>\nint main(void) { PORTB |= 5; while (!(UCSR0A & (1 << UDRE0))) ; return PORTB; }\n"
 
 
