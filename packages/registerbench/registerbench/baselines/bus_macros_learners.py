@@ -46,7 +46,7 @@ from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, make_dqn
 from registerbench.baselines.bus_macros_role_order import AxisRoles, AxisRolesVecEnv, MixedLevelsVecEnv
 from registerbench.baselines.learner_support import compute_wilson_interval, make_parser, read_cost, read_training
-from registerbench.benchmark_tasks import FIRST_TEST_SEED, OPEN_ROUND
+from registerbench.benchmark_tasks import BUS_TIME, FIRST_TEST_SEED, OPEN_ROUND
 from stage.envs.sb3 import StageVecEnv
 
 ID = "stage/BusMacros-v1"
@@ -75,7 +75,7 @@ def make_learning_envs(method: str, level: str, seed: int) -> Any:
         level: Name of the level.
         seed: Seed of the mixed-in easier episodes.
     """
-    settings = {"level": level, "macro_weight": MACRO_COST, "progress_weight": PROGRESS_WEIGHTS[level]}
+    settings = {"level": level, "macro_weight": MACRO_COST, "progress_weight": PROGRESS_WEIGHTS[level], **BUS_TIME}
     envs: Any = StageVecEnv(ID, PARALLEL_ENVS[method], threads=1, **settings)
     return AxisRolesVecEnv(MixedLevelsVecEnv(envs, level, seed), append_mask=method == "dqn")
 
@@ -162,7 +162,11 @@ class PolicyValidator:
     """
 
     def __init__(self, level: str, first: int, machines: int):
-        self.envs, self.first, self.machines = StageVecEnv(ID, machines, threads=1, level=level), first, machines
+        self.envs, self.first, self.machines = (
+            StageVecEnv(ID, machines, threads=1, level=level, **BUS_TIME),
+            first,
+            machines,
+        )
         self.directions: list[str] = []
 
     def play(self, policy: MacroPolicy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
