@@ -101,11 +101,11 @@ def get_split_setting(config: Any, name: str) -> Any:
     """Return a setting of a Config; if it is None, return the value of the Config's split.
 
     Args:
-        config: Settings with the attribute `split`.
+        config: Settings with the attribute `split`; None stands for train.
         name: Name of the setting.
     """
     value = getattr(config, name)
-    return SPLITS[config.split].get(name, SPLITS["train"][name]) if value is None else value
+    return SPLITS[config.split or "train"].get(name, SPLITS["train"][name]) if value is None else value
 
 
 def get_context_ranges(config: Any) -> dict[str, tuple[float, float]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from stage.chips import core_interface
 from stage.envs import observation_features
-from stage.envs.step_results import make_step_result_dtype
+from stage.envs.step_results import SCORE_FEATURE, make_step_result_dtype
 from stage.native import array_at, exported, greatest, hot, least, record
 from stage.sim import compiled_stage_access, engine, program
 from stage.sim import program_player as player
@@ -34,9 +34,10 @@ TASK_PARAMETERS = record(
 goal is "home"; reward of a divergence; bits of the data bus; address of the status; largest datum."""
 
 AXIS_PARAMETERS = record(
-    [(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8")]
+    [(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8"), ("limits", "i8")]
 )
-"""Values of an axis: tolerance, pulse, full step, error that scales to 1, ends of the travel, all in m; index of its chip."""
+"""Values of an axis: tolerance, pulse, full step, error that scales to 1, ends of the travel, all in m; index of its chip; bits of
+its end limits in the chip's inputs."""
 
 EPISODE = record(
     [
@@ -48,13 +49,16 @@ EPISODE = record(
         ("start", "f8"),
         ("loan", "f8"),
         ("left", "f8"),
+        ("usual", "f8"),
+        ("limits", "i8"),
     ]
 )
 """State of an episode: time at its beginning and at that of the step, ns; last potential; value just read, or -1; lost full steps
-that have been paid; potential at its beginning; loan paid so far, for a discount below 1; costs that are left, charged already."""
+that have been paid; potential at its beginning; loan paid so far, for a discount below 1; costs that are left, charged already;
+time of the usual move to the goal, s; end limits hit."""
 
-AXIS_STATE = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
-"""State of an axis: goal, m; target, pulses; largest number of lost full steps so far."""
+AXIS_STATE = record([("goal", "f8"), ("target", "i8"), ("lost", "i8"), ("limit", "i8")])
+"""State of an axis: goal, m; target, pulses; largest number of lost full steps so far; whether an end limit is on."""
 
 WORD_READ = record([("seen", "i8"), ("when", "i8")])
 """Last read of an address of a chip: the value (seen), and the time (when), ns; -1 if it was never read."""
@@ -82,6 +86,7 @@ INFO_FEATURES = (
         "error", observation_features.TRUTH, "pulses, the largest of the axes' errors", kind=float
     ),
     observation_features.Feature("lost_steps", observation_features.TRUTH, "full steps, of all axes", kind=int),
+    SCORE_FEATURE,
 )
 RESULT = make_step_result_dtype(REWARD_PARTS, INFO_FEATURES)
 
@@ -184,6 +189,17 @@ def _set_discounted_parts(settings, over, now, potential, episode, parts):
 
 
 @hot
+def _fill_score(result, bad, steps, now, episode, axes):
+    """Fill the score of an episode, which counts only if the step has ended it."""
+    score, success = result.score, result.terminated and not bad
+    score.success, score.moves, score.limits, score.lost_steps = success, steps, episode.limits, 0
+    score.time = 1e-9 * (now - episode.began) if success else math.inf
+    score.regret = math.log(score.time / episode.usual) if success else math.inf
+    for a in range(len(axes)):
+        score.lost_steps += axes[a].lost
+
+
+@hot
 def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words, truth, result):
     """Fill the result of the step that one stage has just played, and update the record of its episode."""
     now = truth[0].now
@@ -225,6 +241,10 @@ def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words
         episode.potential, episode.before = potential, now
         for a in range(len(axes)):
             axes[a].lost = greatest(axes[a].lost, abs(truth[a].lost_steps))
+            limit = 1 if truth[a].inputs & rules[a].limits else 0
+            episode.limits += greatest(limit - axes[a].limit, 0)
+            axes[a].limit = limit
+    _fill_score(result, bad, steps, now, episode, axes)
     info.elapsed, info.value, info.success = 1e-9 * (now - episode.began), episode.value, success
     info.error, info.lost_steps = error, lost
 
@@ -311,7 +331,9 @@ def judge_and_observe(frame, begin, end, fresh):
             e = episodes[k]
             e.began = e.before = truth[k, 0].now
             e.potential, e.value, e.paid = _compute_potential(axes[k], rules, truth[k]), -1, 0
-            e.start, e.loan, e.left = e.potential, 0.0, 0.0
+            e.start, e.loan, e.left, e.limits = e.potential, 0.0, 0.0, 0
+            for a in range(len(axes[k])):
+                axes[k, a].limit = 1 if truth[k, a].inputs & rules[a].limits else 0
         else:
             steps[k] += 1
             bad = status[k] == player.DIVERGED

@@ -14,7 +14,7 @@ from stage.envs.stage_env import extract_info
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 1, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
-    "stage/RegisterBus-v0": {"model": "xy", "cycles": 1, "chip": "MCX514"},
+    "stage/RegisterBus-v0": {"model": "xy", "cycles": 1, "chip": "MCX514", "split": "train"},
     "stage/OriginReturn-v0": {"model": "xy", "returns": 1, "limit": 0.02, "settle": 0.01},
     "stage/SynchronizedMove-v0": {"model": "xy", "distances": (300, 900), "limit": 0.3},
     "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 1},
@@ -103,7 +103,7 @@ def test_a_host_with_an_encoder_observes_integer_counts():
 
 
 def test_each_chip_and_axis_has_its_entries_in_the_observation():
-    env = make_env("stage/RegisterBus-v0", model="xyz", chip="MCX302", truth=True)
+    env = make_env("stage/RegisterBus-v0", model="xyz", chip="MCX302", truth=True, split=None)
     names = [e.name for e in env.observation_features]
     axis = ["target", "place", "velocity", "lost", "error"]
     chip = ["status"] * 16 + ["words"] * 7 + ["ages"] * 8

@@ -194,6 +194,13 @@ CARDS = {
             settings=BUS_TIME,
             splits=list_splits_except("worn", "loose", "ms", "mast"),
         ),
+        Card(
+            "bus-cycles",
+            "stage/RegisterBus-v0",
+            "both axes to their targets either way, soon, by single bus cycles and waits",
+            settings={"axes": ("x", "y"), "time_weight": 2.0, "time_limit": 3.0},
+            splits=list_splits_except("loose", "ms", "mast"),
+        ),
     )
 }
 """Cards of all tasks, by the name of the task."""

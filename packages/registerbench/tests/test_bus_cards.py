@@ -1,8 +1,10 @@
 """Tests of the cards on the bus: speed pays, and no failure is as dear as a divergence."""
 
+import numpy as np
 import pytest
 
 from registerbench.benchmark_tasks import CARDS
+from stage.envs import register_bus
 from stage.envs.bus_macros import Config
 from stage.envs.step_results import DIVERGENCE_REWARD
 
@@ -44,3 +46,23 @@ def test_a_failure_costs_less_than_a_divergence(card):
     failure = c.macros * c.macro_weight + c.time_limit * c.time_weight
     limits = 2 * c.damage_weight * len(c.axes)
     assert failure + limits + c.damage_weight < -DIVERGENCE_REWARD
+
+
+def test_single_bus_cycles_on_hidden_machines_are_a_task_in_which_slow_moves_earn_less(monkeypatch):
+    card, returns = CARDS["bus-cycles"], {}
+    c = register_bus.Config(**card.settings, split="train")
+    assert c.time_weight * c.time_limit + 64 * c.lost_weight < -DIVERGENCE_REWARD, (
+        "a failure costs less than a divergence"
+    )
+    usual = dict(register_bus.RATES)
+    for rates in ("usual", "gentle"):
+        monkeypatch.setitem(register_bus.RATES, "usual", usual[rates])
+        env = card.make_env("train", "host", {})
+        _, info = env.reset(seed=SEEDS[0])
+        assert info["payload"] > 0
+        returns[rates], is_over = 0.0, False
+        while not is_over:
+            _, reward, terminated, truncated, info = env.step(env.scripted_action())
+            returns[rates], is_over = returns[rates] + reward, terminated or truncated
+        assert info["score"]["success"] == (info["score"]["time"] < np.inf)
+    assert returns["usual"] > returns["gentle"] + 0.3

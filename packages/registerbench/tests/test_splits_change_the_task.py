@@ -36,7 +36,7 @@ def play_outcome(task, split, player, seed):
     return total, np.array(observed, float)
 
 
-LONG = ("home", "bus-target", "bus-axes", "bus")  # seconds an episode
+LONG = ("home", "bus-target", "bus-axes", "bus", "bus-cycles")  # seconds an episode
 SPLITS = [
     pytest.param(c.name, s, marks=[pytest.mark.slow] if c.name in LONG else [])
     for c in CARDS.values()
@@ -54,7 +54,7 @@ def test_every_split_of_a_card_changes_what_comes_out(task, split):
     pytest.fail(f"{split}: all {EPISODES} returns are those of train")
 
 
-@pytest.mark.parametrize("task", ["home", "line", "line-3", "bus-target", "bus-axes", "bus"])
+@pytest.mark.parametrize("task", ["home", "line", "line-3", "bus-target", "bus-axes", "bus", "bus-cycles"])
 def test_looseness_changes_no_bit_of_these_tasks_and_they_do_not_offer_it(task):
     assert "loose" not in CARDS[task].splits
     (train, observed), (test, also) = (
