@@ -37,7 +37,7 @@ from stage.sim.program import (
 )
 from stage.sim.stage import Stage
 from stage.sim.stage_loop import IN_USE_MESSAGE
-from stage.support.argument_checks import explain_arguments
+from stage.support.argument_checks import WrongType, explain_arguments
 
 DEVICES = ("cpu", "cuda")
 MAX_TIME_NS = engine_records.NS_PER_SECOND * 10**9  # ns
@@ -202,9 +202,14 @@ class Fleet:
             status: Status of each stage, as compiled code returns it, (stages,).
 
         Raises:
+            ArgumentError: The status is no array.
             StageError: Another thread used a stage.
         """
-        if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
+        try:
+            how = status.tolist()  # of few stages faster than numpy: steps of environments pass here
+        except AttributeError:
+            raise WrongType(f"status={status!r}: give an array of integers, one for each stage.") from None
+        if any(how):
             for k, why in enumerate(how):
                 if why not in (program_player.PLAYED, program_player.DIVERGED):
                     raise StageError(f"stage {k} of the fleet: {IN_USE_MESSAGE}")

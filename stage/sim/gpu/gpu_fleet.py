@@ -278,6 +278,6 @@ def _compile_lane_kernels(core: ModuleType, sizes: tuple[int, ...], tools: Compi
     }  # fmt: skip
     names = {name: dtype.itemsize // 8 * n for name, (dtype, n) in dtypes.items()}
     names |= {"STATE": state, "DRIVE": DRIVE, "LANES": lanes, "AXES": axes, "SWITCHES": switches}
-    names |= {"BUS": bus, "ENCODERS": bool(encoders), **tools.lane_names}
+    names |= {"BUS": bus, "HAS_ENCODERS": bool(encoders), **tools.lane_names}
     module = modules.copy_module("stage.sim.gpu.lane_kernel", names)
     return tuple(modules.compile_function(name, module, tools.kernel) for name in ("advance_lanes", "inspect_lanes"))
