@@ -33,7 +33,16 @@ _REGISTER_HEADER = "avr/registers_.h"
 _BOARD_WORDS = re.compile(r"\bps_\w+\s*\(|\bPULSESTAGE_MAIN\b")
 """Names of pulsestage.h, which the headers of registers include in C++, and which programs in C may expect from them."""
 _CPLUSPLUS_WORDS = re.compile(r"\bPinBus\b|\bpulsestage::")
-_ENDLESS_LOOP = re.compile(r"\b(for\s*\(\s*;\s*;\s*\)|while\s*\(\s*(?:1|true)\s*\))\s*(?:;|\{\s*\})")
+_BLANK = r"(?:\s|//[^\n]*\n|/\*.*?\*/)*"
+_ENDLESS_LOOP = re.compile(
+    r'"(?:\\.|[^"\\\n])*"|'
+    r"'(?:\\.|[^'\\\n])*'|//[^\n]*|/\*.*?\*/|"
+    r"\b(for\s*\(\s*;\s*;\s*\)|while\s*\(\s*(?:1|true)\s*\))" + rf"{_BLANK}(?:;|\{{{_BLANK}(?:;{_BLANK})?\}})",
+    re.DOTALL,
+)
+"""Strings and comments, which stay, and endless loops with nothing in them, whose heads are group 1."""
+_DO_BODY = re.compile(r"(?:\}|\bdo\b[^;{}]*;)\s*$")
+"""End of the body of a do loop, after which `while` does not begin a loop; or of a block, which looks the same."""
 ENCODING = {"encoding": "utf-8", "errors": "surrogateescape"}
 """Encoding in which sources are read and written: those of other encodings keep their bytes."""
 
@@ -322,9 +331,10 @@ def _add_waits(source: Path) -> str:
 
 def _replace_endless_loop(match: re.Match[str]) -> str:
     """Return the text of an endless loop that waits for interrupts, in as many lines; the end of a do loop stays unchanged."""
-    if match.string[: match.start()].rstrip().endswith("}") and match[1].startswith("while"):
+    head = match[1]
+    if head is None or (head.startswith("while") and _DO_BODY.search(match.string, 0, match.start())):
         return match[0]
-    return f"{match[1]} PULSESTAGE_IDLE();" + "\n" * match[0][len(match[1]) :].count("\n")
+    return f"{head} PULSESTAGE_IDLE();" + "\n" * match[0][len(head) :].count("\n")
 
 
 def suggest_platform(platform: Platform | None, message: str) -> str:
