@@ -19,8 +19,6 @@
 #define bit_is_clear(sfr, bit) (!((sfr) & _BV(bit)))
 #define loop_until_bit_is_set(sfr, bit) do { } while (bit_is_clear(sfr, bit))
 #define loop_until_bit_is_clear(sfr, bit) do { } while (bit_is_set(sfr, bit))
-#define sbi(sfr, bit) ((sfr) |= _BV(bit))
-#define cbi(sfr, bit) ((sfr) &= (uint8_t)~_BV(bit))
 #if defined(__AVR_ATmega2560__)
 #define E2END 0xFFF
 #else
