@@ -102,7 +102,7 @@ class ChipConformance:
         if broken:
             raise _make_error(chip_class, seed, broken)
 
-    def make_test_function(self, chip: type[Chip] | str, **options: Any) -> Callable:
+    def tests(self, chip: type[Chip] | str, **options: Any) -> Callable:
         """Make a test function for pytest, with one test for each promise.
 
         Args:

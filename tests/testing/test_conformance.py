@@ -49,7 +49,7 @@ def test_a_chip_that_differs_uncompiled_is_detected():
         )
 
 
-test_toy = chip_conformance.make_test_function(TOY, seed=SEED, programs=2)
+test_toy = chip_conformance.tests(TOY, seed=SEED, programs=2)
 
 
 def test_a_chip_of_eight_axes_passes():
@@ -136,7 +136,7 @@ def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypa
     )
     with pytest.raises(ConformanceError):
         chip_conformance(TOY, promises=["reads", "pins_by_name"], limit=30)
-    tests = chip_conformance.make_test_function(TOY, limit=20)
+    tests = chip_conformance.tests(TOY, limit=20)
     for promise in ("reads", "pins_by_name"):
         with pytest.raises(ConformanceError):
             tests(promise)

@@ -3,7 +3,7 @@
 from pulsestage_trinamic.tmc5160 import TMC5160
 from stage.testing import chip_conformance
 
-test_conformance = chip_conformance.make_test_function(TMC5160, programs=2)
+test_conformance = chip_conformance.tests(TMC5160, programs=2)
 
 
 def test_a_turn_to_the_left():

@@ -6,7 +6,7 @@ from acme_chips import ACME1000
 from stage import Stage, firmware
 from stage.testing import chip_conformance
 
-test_conformance = chip_conformance.make_test_function(ACME1000, programs=2)
+test_conformance = chip_conformance.tests(ACME1000, programs=2)
 
 
 def test_a_move_takes_the_time_that_the_data_sheet_gives():
