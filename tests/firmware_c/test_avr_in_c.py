@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import warnings
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,24 @@ def run(folder: Path, source: str | dict[str, str], flags=(), name="main.c", cos
 def test_what_only_c_takes_compiles_in_a_program_with_registers(standard, level, tmp_path):
     code, _, _ = run(tmp_path, ONLY_C, (f"-std={standard}", level))
     assert code == 100 + 1 + 40 + 4  # four matches in 30 us
+
+
+def test_headers_are_c89_for_programs_that_are(tmp_path):
+    """avr-gcc -std=c89; and an avr/io.h without sbi, which many programs define."""
+    source = """#include <avr/eeprom.h>
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/pgmspace.h>
+#include <util/atomic.h>
+#include <util/delay.h>
+#define sbi(port, bit) ((port) |= (1 << (bit)))
+ISR(TIMER1_COMPA_vect) { PORTB ^= 1; }
+int main(void) { int k; sbi(PORTB, 3); for (k = 0; k < 3; k++) PORTB ^= 2; eeprom_write_byte((uint8_t *)4, 7);
+                 return PORTB + eeprom_read_byte((uint8_t *)4); }
+"""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", CompilerWarning)
+        assert run(tmp_path, source, ("-std=c89", "-Wall", "-Werror"))[0] == 8 + 2 + 7
 
 
 LVALUES = (

@@ -45,31 +45,34 @@ extern void pulsestage_eeprom_wait(void);
 #define eeprom_busy_wait() pulsestage_eeprom_wait()
 #endif
 
-static inline void eeprom_read_block(void *to, const void *from, size_t n)
+static __inline__ void eeprom_read_block(void *to, const void *from, size_t n)
 {
-    for (size_t k = 0; k < n; k++)
+    size_t k;
+    for (k = 0; k < n; k++)
         ((uint8_t *)to)[k] = PULSESTAGE_EEPROM_FUNCTION(read_eeprom)((const uint8_t *)from + k);
 }
-static inline void eeprom_write_block(const void *from, void *to, size_t n)
+static __inline__ void eeprom_write_block(const void *from, void *to, size_t n)
 {
-    for (size_t k = 0; k < n; k++)
+    size_t k;
+    for (k = 0; k < n; k++)
         PULSESTAGE_EEPROM_FUNCTION(write_eeprom)((uint8_t *)to + k, ((const uint8_t *)from)[k]);
 }
-static inline void eeprom_update_block(const void *from, void *to, size_t n)
+static __inline__ void eeprom_update_block(const void *from, void *to, size_t n)
 {
-    for (size_t k = 0; k < n; k++)
+    size_t k;
+    for (k = 0; k < n; k++)
         if (PULSESTAGE_EEPROM_FUNCTION(read_eeprom)((uint8_t *)to + k) != ((const uint8_t *)from)[k])
             PULSESTAGE_EEPROM_FUNCTION(write_eeprom)((uint8_t *)to + k, ((const uint8_t *)from)[k]);
 }
 #define PULSESTAGE_EEPROM_VALUE(name, type)                                                                            \
-    static inline type eeprom_read_##name(const type *from)                                                            \
+    static __inline__ type eeprom_read_##name(const type *from)                                                        \
     {                                                                                                                  \
         type value;                                                                                                    \
         eeprom_read_block(&value, from, sizeof value);                                                                 \
         return value;                                                                                                  \
     }                                                                                                                  \
-    static inline void eeprom_write_##name(type *to, type value) { eeprom_write_block(&value, to, sizeof value); }     \
-    static inline void eeprom_update_##name(type *to, type value) { eeprom_update_block(&value, to, sizeof value); }
+    static __inline__ void eeprom_write_##name(type *to, type value) { eeprom_write_block(&value, to, sizeof value); } \
+    static __inline__ void eeprom_update_##name(type *to, type value) { eeprom_update_block(&value, to, sizeof value); }
 PULSESTAGE_EEPROM_VALUE(byte, uint8_t)
 PULSESTAGE_EEPROM_VALUE(word, uint16_t)
 PULSESTAGE_EEPROM_VALUE(dword, uint32_t)

@@ -21,21 +21,21 @@
 
 #ifdef __cplusplus
 extern "C++" { /* also where a program in C is included */
-static inline void sei(void) { SREG |= 0x80; }
-static inline void cli(void) { SREG &= 0x7F; }
-static inline void reti(void) {}
+static __inline__ void sei(void) { SREG |= 0x80; }
+static __inline__ void cli(void) { SREG &= 0x7F; }
+static __inline__ void reti(void) {}
 } /* extern "C++" */
 #else
-static inline void sei(void)
+static __inline__ void sei(void)
 {
     SREG |= 0x80;
     pulsestage_finish_write();
 }
-static inline void cli(void)
+static __inline__ void cli(void)
 {
     SREG &= 0x7F;
     pulsestage_finish_write();
 }
-static inline void reti(void) {}
+static __inline__ void reti(void) {}
 #endif
 #endif

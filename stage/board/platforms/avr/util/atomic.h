@@ -23,17 +23,17 @@ struct Atomic {
 
 } /* extern "C++" */
 #else
-static inline uint8_t pulsestage_disable_interrupts(void)
+static __inline__ uint8_t pulsestage_disable_interrupts(void)
 {
     cli();
     return 1;
 }
-static inline void pulsestage_restore_sreg(const uint8_t *sreg)
+static __inline__ void pulsestage_restore_sreg(const uint8_t *sreg)
 {
     SREG = *sreg;
     pulsestage_finish_write();
 }
-static inline void pulsestage_force_interrupts(const uint8_t *sreg)
+static __inline__ void pulsestage_force_interrupts(const uint8_t *sreg)
 {
     (void)sreg;
     sei();

@@ -16,7 +16,7 @@ inline __attribute__((visibility("hidden"))) double &owed()
 }
 } // namespace pulsestage
 
-static inline void _delay_us(double us)
+static __inline__ void _delay_us(double us)
 {
     double whole = us + pulsestage::owed();
     while (whole >= 1) {
@@ -27,7 +27,7 @@ static inline void _delay_us(double us)
     pulsestage::owed() = whole > 0 ? whole : 0;
     pulsestage::interrupt_line().look();
 }
-static inline void _delay_ms(double ms) { _delay_us(ms * 1000); }
+static __inline__ void _delay_ms(double ms) { _delay_us(ms * 1000); }
 
 } /* extern "C++" */
 #else
@@ -38,7 +38,7 @@ static inline void _delay_ms(double ms) { _delay_us(ms * 1000); }
 const uint32_t pulsestage_clock_hz = F_CPU;
 #endif
 extern void pulsestage_delay_us(double us) __attribute__((visibility("hidden")));
-static inline void _delay_us(double us) { pulsestage_delay_us(us); }
-static inline void _delay_ms(double ms) { pulsestage_delay_us(ms * 1000); }
+static __inline__ void _delay_us(double us) { pulsestage_delay_us(us); }
+static __inline__ void _delay_ms(double ms) { pulsestage_delay_us(ms * 1000); }
 #endif
 #endif
