@@ -173,7 +173,7 @@ class BusMacros(MacroHostTask):
         self.full_step = np.array([0.5 * np.pi / (_get_motor(a).rotor_teeth * a.gear) for a in self.axes])
         self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
         self.turn = np.array([2 * np.pi / (_get_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
-        self.read_nominal_machines()
+        self.prepare_contexts()
         self.top = LEVELS.index(c.level)
         self.macro_table = MacroTable(self.axes, c.grid, c.patience, c.settle)
         self.names = self.macro_table.names

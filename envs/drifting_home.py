@@ -194,7 +194,7 @@ class DriftingHome(MachineTask[Config]):
     def make_spaces_and_arrays(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.read_nominal_machines()
+        self.prepare_contexts()
         self.switch = OriginSwitch(first, self.axis)
         self.search = get_driver(self.axis).build_home_program(
             SimpleNamespace(multiplier=30, leave=LEAVE, back_off=BACK_OFF[1], limit=c.limit, settle=c.settle, ez=0)

@@ -210,7 +210,7 @@ class FewShotTuning(MachineTask[Config]):
         self.driver = get_driver(self.axis)
         self.judged, point = find_judged_point(first, c.axis, c.judge_at)
         self.trial = MoveTrial(self.axis, point, c.settle, encoder=True)
-        self.read_nominal_machines()
+        self.prepare_contexts()
         self.trial.require_room(c.distances, "pulses")
         self.names = self.driver.list_move_registers(s_curve=False)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(ACTION_RANGES),), np.float32)

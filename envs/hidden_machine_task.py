@@ -6,7 +6,7 @@ FAULTS = machine_faults.HAMPERING       the faults that machines of this task ma
 
 class MyTask(MachineTask[Config]):
 def make_spaces_and_arrays(self):
-    self.read_nominal_machines()             makes `machines`, `ranges`, `faults` and `context`
+    self.prepare_contexts()             makes `machines`, `ranges`, `faults` and `context`
 def begin_episode(self, stage_index, options):
     self.draw_machine(stage_index, options)
     self.apply_machine_to(self.stages[stage_index], stage_index)     also after each restore of the stage
@@ -122,7 +122,7 @@ class HiddenMachineTask(Task[ConfigT]):
                 raise ArgumentError(f"axis {name}: it is no stepper's slide, and this task is of those.")
         return new_stage
 
-    def read_nominal_machines(self) -> None:
+    def prepare_contexts(self) -> None:
         """Read the nominal machines from the first stage, before any context. Subclasses call this in `make_spaces_and_arrays`."""
         c: Any = self.config
         first, names = self.stages[0], self.axis_names

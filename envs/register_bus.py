@@ -204,7 +204,7 @@ class RegisterBus(HiddenMachineTask[Config], CompiledTask[Config]):
         if self.has_hidden_machine:
             if any(axis.drive.has_encoder or axis.unit != "m" for axis in self.axes):
                 raise ArgumentError(f"split={c.split!r}: hidden machines are slides with steppers; leave split out.")
-            self.read_nominal_machines()
+            self.prepare_contexts()
         self._scripts: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
         self.per_pulse = np.array([a.meters_per_pulse for a in self.axes])
         self.sign = np.array([np.sign(a.gear) for a in self.axes])  # direction of the joint for plus pulses

@@ -145,7 +145,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         super().make_spaces_and_arrays()
         m = len(self.axes)
         self.judged, self.point = find_judged_point(first, c.axes[0], c.judge_at)
-        self.read_nominal_machines()
+        self.prepare_contexts()
         self.loads = [Load.from_axis(a) for a in self.axes]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS_PER_AXIS * m,), np.float32)
         self.observation_space = self.make_observation_space()

@@ -32,7 +32,7 @@ from stage.units import POSITION_UNITS
 DIRECTIONS = {"minus": -1, "plus": 1}
 MIN_RATE_PPS = 0.01
 HOME_TIMEOUT_S = 60.0
-BUS_MOVE_PROCEDURE = "started by bus cycles"
+BUS_MOVE_LABEL = "started by bus cycles"
 """Procedure of a move that no driver has started: only its host knows whether it went as asked."""
 
 
@@ -147,7 +147,7 @@ class MotionTools:
     def wait_until_stopped(self, axis: str, timeout: float) -> dict[str, Any]:
         """Poll the status of an axis until it has stopped. Returns the report of its move."""
         a, driver = self._context.get_axis(axis), self._context.get_driver(axis)
-        if axis in self._watched and self._watched[axis][0].name != BUS_MOVE_PROCEDURE:
+        if axis in self._watched and self._watched[axis][0].name != BUS_MOVE_LABEL:
             reason = driver.wait(timeout)
         else:
             wait_until_stopped([a], timeout)
@@ -182,7 +182,7 @@ class MotionTools:
             elif chip.would_start_drive(address, value, a.chip_axis):
                 self._context.meter.count_move()
                 self._stop_watching(a.name)
-                self._begin_watching(a.name, BUS_MOVE_PROCEDURE, None)
+                self._begin_watching(a.name, BUS_MOVE_LABEL, None)
 
     def stop_watching_all(self) -> None:
         """Stop watching the moves of all axes."""
@@ -291,9 +291,7 @@ def describe_report(report: Report | SynchronizedReport, mode: str) -> dict[str,
             line["carriage_off_m"] = report.carriage_deviation
         return line
     complete = report.asked is None or report.pulses == report.asked
-    as_asked = (
-        None if report.procedure == BUS_MOVE_PROCEDURE else complete and report.stopped_by not in UNWANTED_REASONS
-    )
+    as_asked = None if report.procedure == BUS_MOVE_LABEL else complete and report.stopped_by not in UNWANTED_REASONS
     answer: dict[str, Any] = {
         "procedure": report.procedure, "axis": report.axis, "as_asked": as_asked,
         "stopped_by": report.stopped_by, "asked_pulses": report.asked, "counted_pulses": report.pulses,

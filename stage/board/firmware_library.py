@@ -28,8 +28,8 @@ from stage.board.firmware_pins import (
     SERIAL_USE,
     FirmwarePinUse,
     check_board_pins,
-    find_disabled_transmitters,
     find_firmware_wiring_findings,
+    find_sends_with_transmitter_off,
     make_line_table,
 )
 from stage.board.pin_assignment import EMPTY_WIRING, PinWiring
@@ -715,7 +715,7 @@ class Library:
         """Return the signs that lines of axes are at the wrong pins of the firmware."""
         if self._pin_use is None:
             return ()
-        silent = find_disabled_transmitters(self._serial_use[0])
+        silent = find_sends_with_transmitter_off(self._serial_use[0])
         if not (self._lines or self._pin_use.view("u1").any()):
             return silent
         use = FirmwarePinUse(self._pin_use[0], self._pin_reads[0], tuple(self._board_pins))

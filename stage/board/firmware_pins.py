@@ -223,7 +223,7 @@ def _name_undriven_inputs(table: np.ndarray, firmware: FirmwarePinUse) -> list[s
     return names + [f"port {port}" for port in ports]
 
 
-def find_disabled_transmitters(use: Any) -> tuple[WiringFinding, ...]:
+def find_sends_with_transmitter_off(use: Any) -> tuple[WiringFinding, ...]:
     """Return the serial lines over which a program has sent bytes while its transmitter was off.
 
     Args:

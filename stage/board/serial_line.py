@@ -103,7 +103,7 @@ class SerialLine:
         return int(self.record["byte_ns"] or self.record["sent_byte_ns"])
 
     def feed(self, content: bytes) -> None:
-        """Send bytes to the firmware, at most `free`."""
+        """Send bytes to the firmware, at most `free_bytes`."""
         line, now = self.record, self._board.stage.now
         if line["fed"] == line["removed"]:
             line["due"] = max(int(line["due"]), now + int(line["byte_ns"]))
@@ -147,7 +147,7 @@ class UartLine:
         return self._uart.free_bytes
 
     def feed(self, content: bytes) -> None:
-        """Send bytes to the firmware, at most `free`."""
+        """Send bytes to the firmware, at most `free_bytes`."""
         self._uart.feed(content)
 
     def take(self) -> bytes:

@@ -24,7 +24,7 @@ from stage.errors import StageError
 if TYPE_CHECKING:
     from stage.cli.fault.demonstrations import MeasuredValues, RecordingFactory
 
-CHIP_NAMES = ("MCX304", "MCX302", "MCX312")
+ERRATUM_CHIP_NAMES = ("MCX304", "MCX302", "MCX312")
 MULTIPLE = 10
 MOVE = {"R": 8_000_000 // MULTIPLE, "K": 20_000, "A": 8000, "SV": 400, "V": 2000, "AO": 0}
 """Registers of the move."""
@@ -47,7 +47,7 @@ def add_subcommand(commands: Any) -> None:
     )  # fmt: skip
     p.add_argument("--mended", action="store_true", help="simulate chips without the failure (errata=False)")
     options.add_plot_option(p)
-    options.add_stage_and_output_options(p, CHIP_NAMES)
+    options.add_stage_and_output_options(p, ERRATUM_CHIP_NAMES)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from stage.cli.options import CHIP_NAMES
 def add_subcommand(commands: Any) -> None:
     """Add `stage list`, `stage chips` and `stage registers` to argparse's subparsers."""
     p = add_command(
-        commands, "list", print_kind, "list the available chips, motors, power stages or models",
+        commands, "list", print_items, "list the available chips, motors, power stages or models",
         "List the values of --chips, --motor, --drive or --model.",
         ("stage list motors", "names for --motor"),
         ("stage list models", "names for --model"),
@@ -33,7 +33,7 @@ def add_subcommand(commands: Any) -> None:
     chip.known = CHIP_NAMES  # type: ignore[attr-defined]
 
 
-def print_kind(args: argparse.Namespace) -> int:
+def print_items(args: argparse.Namespace) -> int:
     """Print all items of one kind: chips, motors, power stages or models."""
     return PRINT_FUNCTIONS_BY_KIND[args.what](args)
 

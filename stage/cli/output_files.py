@@ -14,7 +14,7 @@ from stage.cli.output_and_progress import show_status
 from stage.errors import ArgumentError
 from stage.support.extras import format_install_command, import_extra, is_installed
 
-STAGE_FILE_OPTIONS = ("record", "vcd", "picture", "plot", "trace")
+OUTPUT_FILE_OPTIONS = ("record", "vcd", "picture", "plot", "trace")
 """Options that name a file."""
 
 
@@ -61,7 +61,7 @@ def _check_viewers(args: argparse.Namespace) -> None:
 
 def _list_files(args: argparse.Namespace) -> dict[str, str]:
     """Return the file that each output option names, by the option."""
-    named = {name: path for name in STAGE_FILE_OPTIONS if (path := getattr(args, name, None))}
+    named = {name: path for name in OUTPUT_FILE_OPTIONS if (path := getattr(args, name, None))}
     if named.get("trace") == "-":
         del named["trace"]
     return named

@@ -30,7 +30,7 @@ from stage.ioc.machine_pvs import make_message_pv, write_message
 from stage.ioc.motion_controller import ControlledAxis, MotionController, MotionProfile, Reading
 from stage.ioc.move_planning import PlannedMove
 
-MotionCoroutine = Callable[[int], Awaitable[bool]]
+MotionCoroutineFunction = Callable[[int], Awaitable[bool]]
 """Coroutine function of the motion's number; it returns whether VAL takes the final position."""
 
 REPLY_DELAYS_S = (0.015, 0.015)
@@ -294,7 +294,7 @@ class MotorRecord(PVGroup):
 
     # --- motion ---
 
-    async def _perform(self, motion: MotionCoroutine) -> None:
+    async def _perform(self, motion: MotionCoroutineFunction) -> None:
         """Perform a motion, which replaces the one under way; return when the record is done."""
         self._number += 1
         number = self._number
@@ -425,7 +425,7 @@ class MotorRecord(PVGroup):
         await self._put_target(value, partial(self._redefine_dial_position, value))
         raise SkipWrite
 
-    async def _put_target(self, dial: float, redefine: MotionCoroutine) -> None:
+    async def _put_target(self, dial: float, redefine: MotionCoroutineFunction) -> None:
         """Move to a dial position or, in SET mode, redefine the present position."""
         if self.get("SET") in ("Set", 1):
             if self._idle.is_set():

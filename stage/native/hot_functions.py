@@ -273,4 +273,4 @@ def _format_dtype(dtype: np.dtype) -> str:
 
 
 if IS_EMITTER_PROCESS:
-    numba_implementations.register_exported_type(ExportedFunction)
+    numba_implementations.register_exported_function_type(ExportedFunction)

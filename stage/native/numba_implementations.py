@@ -66,7 +66,7 @@ def _implement_allocate_on_stack(_context: Any, rows: Any, columns: Any) -> Any:
         return lower_array(context, builder, kind, address, shape)
 
     if not all(isinstance(n, types.IntegerLiteral) for n in (rows, columns)):
-        raise TypingError("room() takes numbers that are known when it is compiled.")
+        raise TypingError("allocate_on_stack() takes numbers that are known when it is compiled.")
     return kind(rows, columns), lower
 
 
@@ -184,7 +184,7 @@ def get_numba_type(kind: Any) -> Any:
     return numba.from_dtype(np.dtype(dtype))
 
 
-def register_exported_type(exported: type) -> None:
+def register_exported_function_type(exported: type) -> None:
     """Register the type of exported functions with numba, so that hot functions can call them.
 
     Functions are called by their symbols; those that take arrays are compiled into their callers.

@@ -106,7 +106,7 @@ def _gather_libraries(library: Any, libraries: dict[int, Any]) -> None:
             _gather_libraries(other, libraries)
 
 
-def _iterate_entry_code(function: Any, context: Any) -> Iterator[Any]:
+def _compile_exported_function(function: Any, context: Any) -> Iterator[Any]:
     """Yield the code of an exported function: its entry for C, and the code that numba has made of the function."""
     from stage.native.numba_implementations import get_numba_type, lower_array
 
@@ -157,7 +157,7 @@ def emit_object(modules: list[str], context: Any) -> bytes:
     functions = [f for f in ExportedFunction.every if f.module in modules]
     gathered: dict[int, Any] = {}
     for function in functions:
-        for library in _iterate_entry_code(function, context):
+        for library in _compile_exported_function(function, context):
             _gather_libraries(library, gathered)
     generator = context.codegen()
     linked = llvm.parse_assembly(str(generator._create_empty_module(modules[0])))

@@ -85,7 +85,7 @@ class _Connection:
         return self.role is None or len(self.received) > 0
 
     def is_overdue(self) -> bool:
-        """Tell whether the rest of a frame, or the greeting, has not arrived within PATIENCE_S."""
+        """Tell whether the rest of a frame, or the greeting, has not arrived within FRAME_TIMEOUT_S."""
         return self.since is not None and time.monotonic() - self.since > FRAME_TIMEOUT_S
 
 

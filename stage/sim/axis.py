@@ -21,7 +21,7 @@ from stage.units import POSITION_UNITS, format_lost_steps
 PULSES_PER_BATCH = 1 << 16
 """Number of pulses whose edges are in memory at a time."""
 SWITCH_FAULT_FIELDS = ["forced", "bounce", "toggles"]
-"""Fields of SWITCH_TABLE that faults change."""
+"""Fields of SWITCH_ROW that faults change."""
 
 if TYPE_CHECKING:
     from stage.chips import ChipAxis
@@ -113,7 +113,7 @@ class AxisFaults:
 
     Attributes:
         bus_voltage: Supply voltage of the axis' drive, V.
-        switches: Fields SWITCH_FAULT_FIELDS of each of the axis' switches, a view of their rows in SWITCH_TABLE.
+        switches: Fields SWITCH_FAULT_FIELDS of each of the axis' switches, a view of their rows in SWITCH_ROW.
         open_phases: Phases of the motor whose wire is broken, bits of stage.drives.stepper.A and B.
     """
 

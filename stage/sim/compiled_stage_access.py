@@ -50,7 +50,7 @@ there, and how much it has logged; without rooms it logs nothing. state: where t
 see `play`."""
 
 WORLD, AXIS, SWITCH = engine_records.STAGE_TIME, engine_records.AXIS, engine_records.SWITCH
-AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
+AXIS_ROW, SWITCH_ROW, CHIP_ROW, CLOCKWORK = (
     engine_records.AXIS_ROW, engine_records.SWITCH_ROW, engine_records.CHIP_ROW, engine_records.ENGINE_CONSTANTS,
 )  # fmt: skip
 REAL, INTEGER = np.dtype("f8"), np.dtype("i8")
@@ -78,12 +78,12 @@ def _make_record_accessor(name: str, dtype: np.dtype) -> Any:
 
 get_world, get_clockwork = _make_record_accessor("world", WORLD), _make_record_accessor("clockwork", CLOCKWORK)
 get_chip_table, get_axis_table = (
-    _make_array_accessor("chips", "n_chips", CHIP_TABLE),
-    _make_array_accessor("table", "n_axes", AXIS_TABLE),
+    _make_array_accessor("chips", "n_chips", CHIP_ROW),
+    _make_array_accessor("table", "n_axes", AXIS_ROW),
 )
 get_axes, get_drives = _make_array_accessor("axes", "n_axes", AXIS), _make_array_accessor("drives", "n_axes", DRIVE)
 get_switches = _make_array_accessor("switches", "n_switches", SWITCH)
-get_switch_table = _make_array_accessor("switch_table", "n_switches", SWITCH_TABLE)
+get_switch_table = _make_array_accessor("switch_table", "n_switches", SWITCH_ROW)
 get_qpos, get_qvel = _make_array_accessor("qpos", "nq", REAL), _make_array_accessor("qvel", "nv", REAL)
 get_sensordata = _make_array_accessor("sensordata", "ns", REAL)
 
@@ -101,7 +101,7 @@ def log_edge(handle, now_ns, chip, axis, kind, first_number, second_number):
     Args:
         handle: HANDLE.
         now_ns: Time, ns.
-        chip: Row of CHIP_TABLE.
+        chip: CHIP_ROW record.
         axis: Axis of the stage, one of the chip's.
         kind: Kind of the `Entry` for the journal.
         first_number: Operand `a` of the entry.

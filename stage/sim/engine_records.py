@@ -64,7 +64,7 @@ AXIS_ROW = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit positive".split()]
     + [("gear", "f8"), ("index_at", "f8"), ("counts", "f8")]
 )
-"""Which axis of which chip (a row of CHIP_TABLE) and which drive row (= the axis' own index) move which joint; rotor radians
+"""Which axis of which chip (a CHIP_ROW record) and which drive row (= the axis' own index) move which joint; rotor radians
 per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the pin bits
 whose sensors are high while they are on; counts of the encoder that the chip sees per joint unit (0: none)."""
 SWITCH_ROW = record(

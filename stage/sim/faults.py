@@ -113,7 +113,7 @@ class Fault:
         return f"<Fault {self.text}{'' if self.in_force else ', cleared'}>"
 
 
-def _make_value_replacement(
+def _make_value_replacer(
     get_value: Callable[[], Any], set_value: Callable[[Any], None], compute_new_value: Callable[[Any], Any]
 ) -> Callable[[], Callable[[], None]]:
     """Return the function that begins a fault: it replaces a value by a new one, and returns the function that restores it."""
@@ -217,7 +217,7 @@ def _make_switch_fault(axis: Axis, description: str, rows: dict[int, dict[str, i
     return Fault(
         stage,
         f"axis {axis.name}: {description}",
-        _make_value_replacement(get_values, set_values, lambda _: rows),
+        _make_value_replacer(get_values, set_values, lambda _: rows),
         things,
     )
 
@@ -258,7 +258,7 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
         raise ArgumentError(
             f"factor={factor!r} of a payload of {before:g} kg: put one on with stage.set_payload; a factor is above 0."
         )
-    begin = _make_value_replacement(
+    begin = _make_value_replacer(
         lambda: stage.payload(body), lambda kg: stage.set_payload(kg, body), lambda kg: kg * factor
     )
     return Fault(stage, f"payload {before * factor:g} kg in place of {before:g} kg", begin, ["payload"])
@@ -295,7 +295,7 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
         for field, value in zip(fields, values, strict=True):
             field[dof] = value
 
-    begin = _make_value_replacement(
+    begin = _make_value_replacer(
         get_friction, set_friction, lambda before: (before[0] + more, (2 * model.opt.timestep, 1), JAM_SOLIMP)
     )
     return Fault(axis.stage, f"axis {axis.name}: jammed", begin, [("friction", axis.name)])
@@ -360,7 +360,7 @@ def _make_axis_fault(
             setattr(axis.faults, field, value)
         stage.apply_faults()
 
-    begin = _make_value_replacement(
+    begin = _make_value_replacer(
         lambda: [getattr(a.faults, field) for a in axes],
         set_field_on_axes,
         lambda before: [compute_new_value(v) for v in before],
@@ -397,7 +397,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
             f"motor={after.motor.name!r}: it has {after.motor.steps_per_turn} steps a turn, and axis {axis.name} is made for "
             f"{before.motor.steps_per_turn}: build a stage with it, drives={{{axis.name!r}: ...}}."  # type: ignore[union-attr]
         )
-    begin = _make_value_replacement(
+    begin = _make_value_replacer(
         lambda: axis.drive, lambda drive: axis.stage.replace_drive(axis, drive), lambda _: after
     )
     text = f"axis {axis.name}: motor {after.motor.name} in place of {before.motor.name}"

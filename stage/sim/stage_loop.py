@@ -366,7 +366,7 @@ class StageLoop:
             journal.extend(packed)
 
     def update_switches(self, axis: int) -> None:
-        """Apply a change of SWITCH_TABLE to the switches of the axis with this index, from now on.
+        """Apply a change of SWITCH_ROW to the switches of the axis with this index, from now on.
 
         Raises:
             ArgumentError: There is no such axis.

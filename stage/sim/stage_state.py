@@ -69,13 +69,13 @@ class State:
     latches: np.ndarray
     """int64 of each chip: the address that its bus holds, where address and data share the lines."""
     axis_table: np.ndarray
-    """AXIS_TABLE: which axis of which chip moves which joint, and which switches are its own."""
+    """AXIS_ROW: which axis of which chip moves which joint, and which switches are its own."""
     switch_table: np.ndarray
-    """SWITCH_TABLE: pin bit, sensor, geometry; and what faults do to a switch."""
+    """SWITCH_ROW: pin bit, sensor, geometry; and what faults do to a switch."""
     flag_edges: np.ndarray
     """FLAG_EDGE records: the joint positions at which vanes enter and leave their switches, switch after switch."""
     chip_table: np.ndarray
-    """CHIP_TABLE: which core runs each chip, and where its state lies."""
+    """CHIP_ROW: which core runs each chip, and where its state lies."""
     slice_ends: dict[int, np.ndarray]
     """For each reference clock, Hz, where the slices of a window end in it."""
     chip_axes: list[np.ndarray]

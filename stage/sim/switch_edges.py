@@ -132,7 +132,7 @@ def _shift_flag_ahead_of_joint(flag_edges, switch, switch_row, position, velocit
     Args:
         flag_edges: FLAG_EDGE records of all switches.
         switch: SWITCH record, whose shift is corrected.
-        switch_row: The switch's row of SWITCH_TABLE.
+        switch_row: The switch's SWITCH_ROW record.
         position: Joint position when the sensor first detects the vane, m (rad on a hinge).
         velocity: Speed of the joint, m/s (rad/s).
         distance: Distance that the sensor measures, m.
@@ -163,7 +163,7 @@ def _measure_travel_to_change(edges, switch_row, position, direction, passed_tra
 
     Args:
         edges: FLAG_EDGE records of all switches.
-        switch_row: The switch's row of SWITCH_TABLE.
+        switch_row: The switch's SWITCH_ROW record.
         position: Joint position less the flag's shift, m (rad on a hinge).
         direction: Direction of travel, 1.0 or -1.0.
         passed_travel: Travel from `position` that the joint has already made.
@@ -196,7 +196,7 @@ def predict_switch_changes(world, axis, clockwork, switch, switch_row, position,
         axis: AXIS record of the switch's axis.
         clockwork: CLOCKWORK record.
         switch: SWITCH record.
-        switch_row: The switch's row of SWITCH_TABLE.
+        switch_row: The switch's SWITCH_ROW record.
         position: Position of the axis' joint at the window's center.
         velocity: Speed of the joint.
     """
@@ -266,9 +266,9 @@ def predict_axis_switch_edges(
         world: WORLD record of the stage.
         clockwork: CLOCKWORK record of the stage.
         axis: AXIS record of the axis.
-        axis_row: The axis' row of AXIS_TABLE.
+        axis_row: The axis' AXIS_ROW record.
         switches: SWITCH records of all switches.
-        switch_table: SWITCH_TABLE rows of all switches.
+        switch_table: SWITCH_ROW records of all switches.
         sensordata: MuJoCo's sensor values.
         position: Position of the axis' joint, m (rad on a hinge).
         velocity: Speed of the joint, m/s (rad/s).

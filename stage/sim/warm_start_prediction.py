@@ -17,7 +17,7 @@ def compute_force_change(axis, axis_row, drive, effort_change, speed, damping, c
 
     Args:
         axis: AXIS record of the axis.
-        axis_row: The axis' row of AXIS_TABLE.
+        axis_row: The axis' AXIS_ROW record.
         drive: DRIVE record of the axis.
         effort_change: Change of the input of the axis' actuator, N m or V.
         speed: Speed of the joint, m/s (rad/s on a hinge).
@@ -40,7 +40,7 @@ def apply_effort(
     Args:
         clockwork: CLOCKWORK of the stage.
         axis: AXIS record of the axis.
-        axis_row: The axis' row of AXIS_TABLE.
+        axis_row: The axis' AXIS_ROW record.
         drive: DRIVE record of the axis.
         position: MuJoCo's qpos.
         velocity: MuJoCo's qvel.

@@ -58,7 +58,7 @@ SLEEPS_FOR_EVER = "it sleeps for ever: no interrupt is enabled that could wake i
 _COLOR_PATTERN = re.compile(r"\x1b\[[0-9;]*m")
 _PC_PATTERN = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
 _LOG_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
-_NO_OP_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
+_NO_OP_FUNCTION_TYPE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
 _BIND_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32)
 _MALLOC_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)
 _CALLOC_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t, ctypes.c_size_t)
@@ -122,7 +122,7 @@ class _Library:
         self._libc = libc = ctypes.CDLL(None)
         libc.calloc.restype, libc.calloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t, ctypes.c_size_t)
         self._text = ctypes.create_string_buffer(1024)
-        self._logger, self.no_op = _LOG_FUNCTION(self._store_message), _NO_OP_FUNCTION(lambda _: 0)
+        self._logger, self.no_op = _LOG_FUNCTION(self._store_message), _NO_OP_FUNCTION_TYPE(lambda _: 0)
         self.is_redirected = isolated and IS_SUPPORTED
         if self.is_redirected:
             from stage.board.isolation.traps import redirect_calls

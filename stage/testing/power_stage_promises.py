@@ -8,7 +8,7 @@ from stage.chips.stepdir.state import POSITION
 from stage.drives.motors import Drive
 from stage.drives.power_stages import EDGE_TIME_FIELDS, PowerStage, find_power_stage
 
-TRIAL_INTERVAL_NS = 1_000_000_000
+LONG_EDGE_TIME_NS = 1_000_000_000
 """Time between two trials, longer than any that a power stage may demand."""
 POSITION_VALUE_COUNT = 1 << 32
 """Number of values of POSITION."""
@@ -68,24 +68,24 @@ def _make_step(axis: STEPDIR, which: int, time_ns: int) -> int:
 
     Args:
         axis: STEP/DIR axis with the power stage.
-        which: Index of the time in the power stage's TIMES.
+        which: Index of the time in EDGE_TIME_FIELDS.
         time_ns: Length of that time, ns.
 
     Returns:
         Number of steps that the axis has counted.
     """
-    times = [TRIAL_INTERVAL_NS] * len(EDGE_TIME_FIELDS)
+    times = [LONG_EDGE_TIME_NS] * len(EDGE_TIME_FIELDS)
     times[which] = time_ns
     high, low, setup, hold, enable_setup = times
     axis.pins.enable = False
-    axis.advance(TRIAL_INTERVAL_NS)
+    axis.advance(LONG_EDGE_TIME_NS)
     axis.pins.dir = True
-    axis.advance(TRIAL_INTERVAL_NS)
+    axis.advance(LONG_EDGE_TIME_NS)
     if which == 1:  # STEP has been low for a short time only after another edge
         axis.pins.step = True
-        axis.advance(TRIAL_INTERVAL_NS)
+        axis.advance(LONG_EDGE_TIME_NS)
         axis.pins.enable = True
-        axis.advance(TRIAL_INTERVAL_NS)
+        axis.advance(LONG_EDGE_TIME_NS)
         axis.pins.step = False
         axis.advance(low)
     else:
@@ -99,7 +99,7 @@ def _make_step(axis: STEPDIR, which: int, time_ns: int) -> int:
     axis.advance(min(high, hold))
     if which == 3:
         axis.pins.dir = not axis.pins.dir
-        axis.advance(TRIAL_INTERVAL_NS)
+        axis.advance(LONG_EDGE_TIME_NS)
     axis.pins.step = False
     return min(
         (axis.read(POSITION) - before) % POSITION_VALUE_COUNT, (before - axis.read(POSITION)) % POSITION_VALUE_COUNT

@@ -29,7 +29,7 @@ class MoveOutcomes(NamedTuple):
     in_step: np.ndarray
     overshoots: np.ndarray
 
-    def is_passed(self, task: Task, within_payload: np.ndarray) -> np.ndarray:
+    def find_passed_moves(self, task: Task, within_payload: np.ndarray) -> np.ndarray:
         """Return which moves kept step and, unless their payload includes the margin, arrived without excessive overshoot.
 
         Args:

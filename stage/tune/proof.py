@@ -82,7 +82,7 @@ def prove_plans(
     """
     outcomes = runner.run_moves(plans, cases, time_limit)
     within_payload = runner.task.is_within_payload(list(cases))
-    good = outcomes.is_passed(runner.task, within_payload)
+    good = outcomes.find_passed_moves(runner.task, within_payload)
     return [
         Proof(
             len(cases),

@@ -133,7 +133,7 @@ def _measure_plans(
     measured: list[Trial] = []
     if possible:
         outcomes = runner.run_moves(possible, cases, time_limit)
-        failures = (~outcomes.is_passed(runner.task, within_payload)).sum(axis=1)
+        failures = (~outcomes.find_passed_moves(runner.task, within_payload)).sum(axis=1)
         times = np.where(np.isnan(outcomes.arrival_times), 1.5 * time_limit, outcomes.arrival_times)
         max_times = times[:, within_payload].max(axis=1)
         measured = [

@@ -30,7 +30,7 @@ FORMULA_CHOICES = (
     *(FormulaChoice(SAFETY_FACTOR, ratio) for ratio in RATE_RATIOS),
 )
 """Choices in the order in which they are tried, the fastest first."""
-FORMULA_LIMITS_TEXT = (
+SLOWEST_CHOICES_TEXT = (
     f"even with a safety factor of {SAFETY_FACTOR * SAFETY_MULTIPLIERS[-1]:g}, or at {RATE_RATIOS[-1]:g} of the rates"
 )
 CANDIDATES_PER_ROUND = 8  # search results that are tested together with unseen moves
@@ -215,7 +215,7 @@ def _select_passing_trials(runner: MoveRunner, trials: Sequence[Trial], cases: S
         return list(trials)
     time_limit = compute_time_limit(max(trial.max_time for trial in trials), runner.task.hold)
     outcomes = runner.run_moves([trial.plan for trial in trials if trial.plan is not None], cases, time_limit)
-    good = outcomes.is_passed(runner.task, runner.task.is_within_payload(list(cases)))
+    good = outcomes.find_passed_moves(runner.task, runner.task.is_within_payload(list(cases)))
     return [trial for trial, passes in zip(trials, good, strict=True) if passes.all()]
 
 
@@ -263,7 +263,7 @@ def _find_first_passing_formula_plan(
         time_limit = _estimate_time_limit(task, plan)
         for factor in SETTLING_TIME_FACTORS:
             outcomes = runner.run_moves([plan], cases, factor * time_limit)
-            if outcomes.is_passed(task, within_payload).all():
+            if outcomes.find_passed_moves(task, within_payload).all():
                 max_time = float(np.max(outcomes.arrival_times[0, within_payload]))
                 return choice, plan, compute_time_limit(max_time, task.hold)
             if not outcomes.in_step.all():
@@ -271,19 +271,19 @@ def _find_first_passing_formula_plan(
     if not outcomes.in_step.all():
         raise StageError(
             f"axis {task.axis} with up to {task.payload_with_margin:g} kg: the formula's registers lose steps, "
-            f"{FORMULA_LIMITS_TEXT}. "
+            f"{SLOWEST_CHOICES_TEXT}. "
             f"{_describe_largest_payload(runner, planner, cases)}"
         )
     if np.isnan(outcomes.arrival_times[0, within_payload]).any():
         tolerance = task.format_length(task.tolerance or 0.0)
         raise StageError(
             f"axis {task.axis}: the formula's moves keep step, but do not come to rest within {tolerance} of the goal in "
-            f"{SETTLING_TIME_FACTORS[-1] * time_limit:.2g} s, {FORMULA_LIMITS_TEXT}: give more room, --settle (tolerance=, hold=)."
+            f"{SETTLING_TIME_FACTORS[-1] * time_limit:.2g} s, {SLOWEST_CHOICES_TEXT}: give more room, --settle (tolerance=, hold=)."
         )
     overshoot = round(float(outcomes.overshoots[0, within_payload].max()), 7)
     raise StageError(
         f"axis {task.axis}: the formula's moves keep step, but go {task.format_length(overshoot)} beyond the goal, "
-        f"{FORMULA_LIMITS_TEXT}: allow more, --overshoot (overshoot=)."
+        f"{SLOWEST_CHOICES_TEXT}: allow more, --overshoot (overshoot=)."
     )
 
 

@@ -148,10 +148,10 @@ def test_a_move_that_loses_steps_or_does_not_arrive_is_not_good(task, runner):
     outcome = runner.run_moves([too_fast, formula], cases, LIMIT)
     assert outcome.in_step.tolist() == [[False, False], [True, True]]
     requested = task.is_within_payload(cases)
-    assert outcome.is_passed(task, requested).tolist() == [[False, False], [True, True]]
+    assert outcome.find_passed_moves(task, requested).tolist() == [[False, False], [True, True]]
     stopped_early = runner.run_moves([formula], cases, 0.05)
     assert np.isnan(stopped_early.arrival_times).all()
-    assert not stopped_early.is_passed(task, requested).any()
+    assert not stopped_early.find_passed_moves(task, requested).any()
 
 
 def test_the_arrival_time_equals_that_of_the_same_move_on_a_stage(task, runner):
@@ -363,7 +363,7 @@ def test_a_move_that_overshoots_within_the_payload_is_not_good(task):
     outcome = MoveOutcomes(
         np.array([[0.1, 0.1, 0.1]]), np.array([[True] * 3]), np.array([[distance, 1.01 * distance, 1.01 * distance]])
     )
-    assert outcome.is_passed(task, np.array([True, True, False])).tolist() == [[True, False, True]]
+    assert outcome.find_passed_moves(task, np.array([True, True, False])).tolist() == [[True, False, True]]
 
 
 def test_both_ramps_of_a_servo_have_the_longer_duration():
@@ -428,7 +428,7 @@ def test_chips_are_tuned_through_their_drivers_in_both_directions(chip, goal, wr
     plan = plans.build_formula_plan()
     with MoveRunner(task, plans, fleet_size=2) as runner:
         outcome = runner.run_moves([plan], [MoveCase(0.0, 5.0, 1), MoveCase(PAYLOAD, 0.0, -1)], 0.4)
-    assert outcome.is_passed(task, np.array([True, True])).all()
+    assert outcome.find_passed_moves(task, np.array([True, True])).all()
     program = bus_listing.build_program(plans, plan, PULSES)
     table = {r.name: r.value for r in bus_listing.list_register_values(task, bus_listing.decode_program(task, program))}
     assert table[goal[0]] == goal[1]

@@ -10,7 +10,7 @@ from typing import Any
 from stage.cli.command_interface import add_command, add_facts
 from stage.errors import ArgumentError
 
-PROMISES_HELP = "docs/benchmark.md says what is promised, and what is not."
+BENCHMARK_DOCS_HINT = "docs/benchmark.md says what is promised, and what is not."
 
 
 def add_bench(commands: Any) -> None:
@@ -33,7 +33,7 @@ def add_bench_submit(commands: Any) -> None:
         ("stage bench-submit formula -o formula.bench", "a player that is shipped"),
         ("stage bench-submit mine:policy -o mine.bench --split weak", "`policy` of mine.py: (observation, info) -> action"),
         ('stage bench-submit moves.npz -o moves.bench --name "by hand"', "recorded actions"),
-        more=PROMISES_HELP,
+        more=BENCHMARK_DOCS_HINT,
     )  # fmt: skip
     p.add_argument(
         "policy", metavar="POLICY", help="module:name, actions.npz, or a player that is shipped: see `stage bench`"
@@ -73,7 +73,7 @@ def add_bench_verify(commands: Any) -> None:
         "they are equal, 1 if not, 2 if the file is refused.",
         ("stage bench-verify mine.bench", "plays the actions again and compares bit for bit"),
         ("stage bench-verify mine.bench --tolerance 1e-9", "made on another processor"),
-        more=PROMISES_HELP,
+        more=BENCHMARK_DOCS_HINT,
     )  # fmt: skip
     p.add_argument(
         "file", metavar="FILE", help="an entry, as `stage bench-submit -o FILE` writes it, or ARCHIVE.zip/NAME"

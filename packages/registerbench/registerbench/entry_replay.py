@@ -319,7 +319,7 @@ class _Replay:
 def _is_earlier(difference: Difference, other: Difference) -> bool:
     """Return whether a difference comes before another one in the order of episodes and steps."""
 
-    def get_order(d: Difference) -> tuple[float, float]:
+    def get_sort_key(d: Difference) -> tuple[float, float]:
         return (np.inf if d.episode is None else d.episode, np.inf if d.step is None else d.step)
 
-    return get_order(difference) < get_order(other)
+    return get_sort_key(difference) < get_sort_key(other)

@@ -22,7 +22,7 @@ from stage.agents.toolbox import Toolbox
 from stage.errors import StageError
 from stage.sim.stage import Stage
 
-MAX_CLOSED_SESSIONS = 1000  # sessions that ended, so that a late client gets a helpful error
+MAX_REMEMBERED_SESSIONS = 1000  # sessions that ended, so that a late client gets a helpful error
 IDLE_S, GRACE_S, LIFE_S = 600.0, 30.0, 8 * 3600.0
 MAX_SESSIONS = 64
 
@@ -106,7 +106,7 @@ class ClientSessions:
         self.make, self.limit, self.idle_s, self.grace_s, self.life_s = make, limit, idle_s, grace_s, life_s
         self._clock = clock
         self._open: dict[str, ClientSession] = {}
-        self._ended: deque[str] = deque(maxlen=MAX_CLOSED_SESSIONS)
+        self._ended: deque[str] = deque(maxlen=MAX_REMEMBERED_SESSIONS)
         self._lock = threading.RLock()
         self._is_shut_down = False
 

@@ -260,7 +260,9 @@ def plan(
     if sum(map(abs, moving.values())) <= MAX_EMULATED_PULSES:
         _choose_by_emulation(rows, leader_name, kinds, followers, candidates)
     line_plan = _evaluate_rows(moving, rows, kinds, automatic, bus_delay)
-    return replace(line_plan, notes=(*notes, *_list_notes(line_plan.axes, move, line_plan.deviation)))
+    return replace(
+        line_plan, notes=(*notes, *_list_differences_from_request(line_plan.axes, move, line_plan.deviation))
+    )
 
 
 def _check_distance(name: str, distance: Any) -> int:
@@ -469,7 +471,7 @@ def _compute_start_leads(order: list[str], bus_delay: float) -> dict[str, float]
     return {n: float(bus_delay) * (len(order) - 1 - k) for k, n in enumerate(order)}
 
 
-def _list_notes(axes: dict[str, AxisPlan], move: MainAxisMove, deviation: float) -> list[str]:
+def _list_differences_from_request(axes: dict[str, AxisPlan], move: MainAxisMove, deviation: float) -> list[str]:
     """List notes about requests for a line that registers cannot make exactly. Raises ArgumentError if the axes leave the line."""
     notes = []
     for name, a in axes.items():

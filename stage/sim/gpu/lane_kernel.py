@@ -59,9 +59,9 @@ def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_
     Args:
         chip: The lane's chip.
         axes: AXIS records of its axes.
-        table: AXIS_TABLE rows of its axes.
+        table: AXIS_ROW records of its axes.
         switches: SWITCH records of its switches.
-        switch_table: SWITCH_TABLE rows of its switches.
+        switch_table: SWITCH_ROW records of its switches.
         world: WORLD record of the lane.
         window_ns: Length of a window, ns.
         slice_index: Slice of the window in which `now` is.
@@ -197,8 +197,8 @@ def advance_lanes(
         rows: Row of each lane, see `LaneLayout`.
         axis_numbers: Number of each axis of a lane in the stage.
         places: AXIS_INDICES record of each axis of the stage: its lane, its number there, and its indices in qpos and qvel.
-        tables: AXIS_TABLE rows of each lane.
-        switch_tables: SWITCH_TABLE rows of each lane.
+        tables: AXIS_ROW records of each lane.
+        switch_tables: SWITCH_ROW records of each lane.
         clockworks: One CLOCKWORK.
         ops: Operations of each copy's program, as `stage.sim.program_player.play` takes them.
         results: Results of the operations, likewise.

@@ -275,7 +275,15 @@ class SwitchFinder:
             for edge, room in zip(edges, rooms, strict=True)
         ]
         return Switch(
-            pin, sensor, found_address, dist, q, slope, lookahead, _limit_travel_to_one_edge(measured, turn > 0), turn
+            pin,
+            sensor,
+            found_address,
+            dist,
+            q,
+            slope,
+            lookahead,
+            _limit_travel_between_neighbor_edges(measured, turn > 0),
+            turn,
         )
 
     def _list_missing_pins(self, axis: str, unfitted: Sequence[str]) -> list[str]:
@@ -595,7 +603,7 @@ class SwitchFinder:
                 self.problems.add_problem(axis, f"{a}, {b}: in this order {meaning}")
 
 
-def _limit_travel_to_one_edge(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
+def _limit_travel_between_neighbor_edges(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
     """Limit the travel near each edge over which the sensor is used, so that each distance belongs to one edge only.
 
     Args:

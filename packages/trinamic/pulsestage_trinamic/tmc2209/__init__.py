@@ -105,8 +105,10 @@ class TMC2209(StepDirAxisWithRegisters):
         return diagnostics
 
     def find_cause_of(self, diagnostic: Diagnostic) -> Cause:
-        if diagnostic.key in lint.IGNORED_KIND_BY_RULE:
-            return Cause("datagram", int(self.state["mistakes"][lint.IGNORED_KIND_BY_RULE[diagnostic.key]]))
+        if diagnostic.key in lint.IGNORED_DATAGRAM_KIND_BY_RULE_KEY:
+            return Cause(
+                "datagram", int(self.state["mistakes"][lint.IGNORED_DATAGRAM_KIND_BY_RULE_KEY[diagnostic.key]])
+            )
         if diagnostic.address in (maps.UART_BYTE, maps.UART_OTHER):
             return Cause("setting", 1)
         return super().find_cause_of(diagnostic)

@@ -35,7 +35,7 @@ UART_RULES = {
 }
 """Rules that datagrams break, and messages about them."""
 OTHER_ADDRESS_RULE = _make_uart_rule("address", "4.1")
-IGNORED_KIND_BY_RULE = {rule.key: kind for kind, (rule, _) in UART_RULES.items()} | {
+IGNORED_DATAGRAM_KIND_BY_RULE_KEY = {rule.key: kind for kind, (rule, _) in UART_RULES.items()} | {
     OTHER_ADDRESS_RULE.key: state.OTHER_ADDRESS
 }
 """Kinds of datagrams that do nothing, by the keys of their rules."""

@@ -83,13 +83,13 @@ STATE = record(
 )
 """State of one STEP/DIR axis with a TMC2209."""
 
-_CHIP_PINS = (
+_FAULT_AND_OUTPUT_NAMES = (
     "ms1", "ms2", "pdn", "spread", "otpw", "ot", "s2ga", "s2gb", "s2vsa", "s2vsb", "ola", "olb", "uv_cp", "diag", "index",
 )  # fmt: skip
-INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_CHIP_PINS)}}
+INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_FAULT_AND_OUTPUT_NAMES)}}
 """Pins of the lines, and those of the chip. The last two are its outputs, which the host reads as it reads the switches."""
 MS1, MS2, PDN, SPREAD, OTPW, OT, S2GA, S2GB, S2VSA, S2VSB, OLA, OLB, UV_CP, DIAG, INDEX = (
-    INPUTS[name] for name in _CHIP_PINS
+    INPUTS[name] for name in _FAULT_AND_OUTPUT_NAMES
 )
 CHIP_DRIVEN_PINS = DIAG | INDEX
 SHORT_G, SHORT_VS = S2GA | S2GB, S2VSA | S2VSB

@@ -18,8 +18,8 @@ STATE = record(
 )
 """State of one STEP/DIR axis with a TMC5160."""
 
-_CHIP_PINS = ("s2ga", "s2gb", "s2vsa", "s2vsb", "ot", "otpw", "ola", "olb", "uv_cp", "diag0", "diag1")
-INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_CHIP_PINS)}}
+_FAULT_AND_OUTPUT_NAMES = ("s2ga", "s2gb", "s2vsa", "s2vsb", "ot", "otpw", "ola", "olb", "uv_cp", "diag0", "diag1")
+INPUTS = {**lines.INPUTS, **{name: 1 << (len(lines.INPUTS) + k) for k, name in enumerate(_FAULT_AND_OUTPUT_NAMES)}}
 """Pins of the lines, faults of the power stage, and the chip's outputs, which the host reads as it reads the switches."""
 DIAG0, DIAG1 = INPUTS["diag0"], INPUTS["diag1"]
 CHIP_DRIVEN_PINS = DIAG0 | DIAG1
