@@ -9,7 +9,7 @@ import numpy as np
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.step_results import SCORE, make_step_result_dtype
 from stage.native import array_at, exported, greatest, hot, least, record
-from stage.sim import compiled_stage_access, engine
+from stage.sim import compiled_stage_access
 from stage.sim import program_player as player
 
 MACRO_KINDS = ("rates", "distance", "plus", "minus", "home", "wait", "read", "select")
@@ -143,7 +143,7 @@ def play_actions(frame, begin, end):
             page += axes[k, e.selected].rates * frame.n_distances + axes[k, e.selected].distance
         for j in range(frame.n_ops):
             values[k, j] = 0
-        if observed[k] or not engine.is_ready(handles[k]):
+        if observed[k] or not compiled_stage_access.is_ready(handles[k]):
             for j in range(frame.n_ops):
                 for i in range(4):
                     ops[k, j, i] = table[page, j, i]

@@ -10,7 +10,7 @@ from stage.chips import core_interface
 from stage.envs import observation_features
 from stage.envs.step_results import SCORE_FEATURE, make_step_result_dtype
 from stage.native import array_at, exported, greatest, hot, least, record
-from stage.sim import compiled_stage_access, engine, program
+from stage.sim import compiled_stage_access, program
 from stage.sim import program_player as player
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k waits for waits[k]
@@ -141,7 +141,7 @@ def play_actions(frame, begin, end):
         else:
             op[0] = program.WRITE if action[0] == WRITE else program.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
-        if observed[k] or not engine.is_ready(handles[k]):
+        if observed[k] or not compiled_stage_access.is_ready(handles[k]):
             status[k] = player.UNREADY
         else:
             extremes = array_at(frame.ops, (0, 2), REAL)

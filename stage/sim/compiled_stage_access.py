@@ -180,3 +180,19 @@ def set_sample_buffers(handle: Any, recording: Any) -> None:
     elif handle["room"]:
         handle["samples"] = handle["positions"] = handle["own"]  # some address: their room is 0
         handle["room"] = handle["filled"] = 0
+
+
+@hot
+def would_call_unguarded_callback(clock):
+    """Return whether MuJoCo would call a Python callback whose exceptions are not guarded."""
+    if not clock.guarded:
+        for k in range(engine_records.CALLBACK_COUNT):
+            if array_at(clock.callbacks[k], 1, engine_records.ADDRESS_TYPE)[0] != clock.native[k]:
+                return True
+    return False
+
+
+@hot
+def is_ready(handle):
+    """Return whether compiled code can run a stage now: it has power, and no callback of Python is unguarded."""
+    return get_world(handle).powered != 0 and not would_call_unguarded_callback(get_clockwork(handle))

@@ -39,10 +39,9 @@ from stage.sim.compiled_stage_access import (
     has_edge_room,
     log_edge,
     release,
+    would_call_unguarded_callback,
 )
 from stage.sim.engine_records import (
-    ADDRESS_TYPE,
-    CALLBACK_COUNT,
     DIVERGED,
     EDGES_FULL,
     FAILED,
@@ -257,16 +256,6 @@ def _write_samples(handle, ctrl):
 
 
 @hot
-def _would_call_unguarded_callback(clock):
-    """Return whether MuJoCo would call a Python callback whose exceptions are not guarded."""
-    if not clock.guarded:
-        for k in range(CALLBACK_COUNT):
-            if array_at(clock.callbacks[k], 1, ADDRESS_TYPE)[0] != clock.native[k]:
-                return True
-    return False
-
-
-@hot
 def _run_until(handle, until_ns):
     """Let the stage's time pass up to `until_ns`, and return why the run ended (REACHED, ...)."""
     w, clock, axis_records, table, rows = (
@@ -283,7 +272,7 @@ def _run_until(handle, until_ns):
     if not w.powered:
         return WIPED
     if w.start + clock.dt <= until_ns:
-        if _would_call_unguarded_callback(clock):
+        if would_call_unguarded_callback(clock):
             return UNGUARDED
         if handle.state:
             _call_mj_get_state(clock.mj_get_state, (handle.mj_model, handle.mj_data, handle.state, clock.state_spec))
@@ -354,13 +343,7 @@ def advance(handle, until_ns):
 @exported("i8", HANDLE)
 def has_unguarded_callback(handle):
     """Return 1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
-    return 1 if _would_call_unguarded_callback(get_clockwork(handle)) else 0
-
-
-@hot
-def is_ready(handle):
-    """Return whether compiled code can run a stage now: it has power, and `has_unguarded_callback` is 0."""
-    return get_world(handle).powered != 0 and not _would_call_unguarded_callback(get_clockwork(handle))
+    return 1 if would_call_unguarded_callback(get_clockwork(handle)) else 0
 
 
 @exported("i8", HANDLE, "i8")

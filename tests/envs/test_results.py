@@ -18,7 +18,7 @@ def results():
     created["parts"]["time"], created["parts"]["lost"] = [-1.0, -2.0, np.nan], [0.0, -5.0, 0.0]
     created["info"]["registers"] = [[1, 2], [3, 4], [5, 6]]
     created["terminated"] = [False, True, True]
-    created.finish(np.array([False, False, True]))
+    created.compute_rewards(np.array([False, False, True]))
     return created
 
 
