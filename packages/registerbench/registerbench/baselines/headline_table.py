@@ -90,7 +90,7 @@ class Learner:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a headline table contains.
+    """Contents of a headline table.
 
     Attributes:
         splits: Splits by task.
