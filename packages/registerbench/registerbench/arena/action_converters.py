@@ -195,9 +195,41 @@ class MacroActionConverter(ActionConverter):
         return answer
 
 
+class BusCycleActionConverter(ActionConverter):
+    """Converter of a bus cycle or a wait, for the task bus-cycles."""
+
+    description = "one bus cycle on a chip, or a wait; a read shows its value in the next observation."
+
+    def __init__(self, sequence: EpisodeSequence):
+        super().__init__(sequence)
+        self._kinds = ("write", "read", *(f"wait {1e3 * wait:g} ms" for wait in self._env.task_instance.config.waits))
+
+    def describe_arguments(self) -> dict[str, Any]:
+        _, chips, addresses, values = self._env.action_space.nvec.tolist()
+        return {
+            "kind": argument(choice(self._kinds), "write, read or the time to wait"),
+            "chip": argument(integer(0, chips - 1), "index of the chip", 0),
+            "address": argument(integer(0, addresses - 1), "address of the chip's bus", 0),
+            "value": argument(integer(0, values - 1), "datum to write", 0),
+        }
+
+    def make_action(self, **values: Any) -> Any:
+        return np.array(
+            [self._kinds.index(values["kind"]), values["chip"], values["address"], values["value"]], np.int64
+        )
+
+    def choose_formula_arguments(self) -> dict[str, Any]:
+        kind, chip, address, value = self._env.scripted_action().tolist()
+        return {"kind": self._kinds[kind], "chip": chip, "address": address, "value": value}
+
+    def choose_idle_action(self) -> Any:
+        return np.array([len(self._kinds) - 1, 0, 0, 0], np.int64)
+
+
 CONVERTERS: dict[str, type[ActionConverter]] = {
     **dict.fromkeys(("few-shot", "few-shot-wide", "one-shot"), MoveActionConverter),
     "home": HomeActionConverter,
+    "bus-cycles": BusCycleActionConverter,
     **dict.fromkeys(("line", "line-3"), LineActionConverter),
 }
 """Class of converter by the name of the card."""
@@ -210,7 +242,7 @@ def make_action_converter(sequence: EpisodeSequence) -> ActionConverter:
     if isinstance(sequence.env.action_space, gymnasium.spaces.Discrete) and hasattr(sequence.env, "macros"):
         return MacroActionConverter(sequence)
     raise ArgumentError(
-        f"Task {sequence.card.name}: its actions have no form as a tool yet; give it one in {__name__}.KINDS."
+        f"Task {sequence.card.name}: its actions have no form as a tool yet; give it one in {__name__}.CONVERTERS."
     )
 
 
