@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs wheel notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results headline pictures clean help
+.PHONY: ci demo docs wheel notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench headline pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -32,7 +32,6 @@ help:
 	@echo "make lint       ruff, words of names, the layers of the architecture, mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
-	@echo "make results    baselines of RegisterTuning: packages/registerbench/docs/results.md, which says how long it takes (extra rl)"
 	@echo "make headline   the headline table of the benchmark from nothing, in build/headline: two hours at most on two idle cores (extra rl)"
 	@echo "make pictures   draw every picture of README and docs again"
 
@@ -109,7 +108,7 @@ test-small:
 
 # docs/rl_libraries.md and the learners of packages/registerbench. RLlib takes one version of Gymnasium alone: an environment of their
 # own. CleanRL is in no package: PULSESTAGE_CLEANRL names its script, see the nightly workflow
-LIBRARIES := tests/envs/test_libraries.py tests/envs/test_stable_baselines_vectors.py tests/envs/test_common.py tests/envs/test_bus_macros.py tests/study packages/registerbench/tests/test_learners.py packages/registerbench/tests/test_baselines.py
+LIBRARIES := tests/envs/test_libraries.py tests/envs/test_stable_baselines_vectors.py tests/envs/test_common.py tests/envs/test_bus_macros.py tests/study packages/registerbench/tests/test_learners.py
 test-libraries:
 	rm -rf build/libraries
 	$(PYTHON) -m venv build/libraries
@@ -179,10 +178,6 @@ ci: lint test test-packages coverage
 bench: .venv/.dev
 	$(BIN)/python scripts/benchmark.py --markdown docs/performance.md --picture docs/pictures/performance.png
 	$(BIN)/python scripts/benchmark_envs.py --most 64 --rounds 3
-
-results: .venv/.dev
-	$(BIN)/python -m pip install -q -e '.[rl,plot,data]' -e ./packages/registerbench
-	$(BIN)/python -m registerbench.baselines.baseline_comparison
 
 headline: .venv/.dev
 	$(BIN)/python -m pip install -q -e '.[rl]' -e ./packages/registerbench

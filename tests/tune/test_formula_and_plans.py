@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pytest
 
+import stage.envs  # noqa: F401 registers the ids
 from stage import Stage
 from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MS
 from stage.drives.dynamometer import compute_natural_frequency
@@ -13,7 +15,14 @@ from stage.firmware.driver import Speeds
 from stage.tune import Task, tuning
 from stage.tune.bus_listing import BusCycle
 from stage.tune.c_header import format_c_header
-from stage.tune.formula import SAFETY_FACTOR, Load, compute_speeds, measure_unloaded_pull_in
+from stage.tune.formula import (
+    SAFETY_FACTOR,
+    Load,
+    compute_registers,
+    compute_speeds,
+    measure_unloaded_pull_in,
+    plan_profile,
+)
 from stage.tune.move_runner import MoveOutcomes
 from stage.tune.position_sampler import PositionSampler
 from stage.tune.register_planners import MovePlan, create_planner
@@ -43,6 +52,52 @@ def test_no_ramp_is_shorter_than_four_periods_of_the_rotor_in_its_field(load):
     assert min(speeds.up, speeds.down) == pytest.approx(
         4 / compute_natural_frequency(lighter.drive, lighter.inertia_at_rotor)
     )
+
+
+@pytest.mark.parametrize(
+    ("payload", "pulses", "rounding"), [(0.5, 32_000, 0.01), (10.0, 1600, 0.03), (10.0, 5000, 0.03)]
+)
+def test_the_formulas_move_keeps_step_from_any_rotor_angle_in_the_predicted_time(payload, pulses, rounding):
+    machine = Stage("xyz", chips=PCL240K, visuals=False)
+    machine.set_payload(payload)
+    envs = gymnasium.make_vec(
+        "stage/RegisterTuning-v0", 5, "vector_entry_point", limit=1.0, s_curve=False,
+        distances=(pulses, pulses), payloads=(0.97 * payload, 1.03 * payload),
+    ).unwrapped  # fmt: skip
+    envs.reset(seed=1)
+    action = envs.task_instance.registers.to_action(compute_registers(machine.axes["x"], pulses, s_curve=False))
+    info = envs.step(np.tile(action, (5, 1)))[4]
+    envs.close()
+    assert len(set(info["angle"])) == 5
+    assert info["finished"].all()
+    assert not info["lost_steps"].any()
+    profile = plan_profile(Load.from_axis(machine.axes["x"]), pulses)
+    ramps_s = profile.get_accel_time() + profile.get_decel_time()
+    predicted_s = ramps_s + (pulses - (profile.fl + profile.fh1) / 2 * ramps_s) / profile.fh1
+    assert info["duration"] == pytest.approx(predicted_s, rel=rounding)
+
+
+def test_no_other_top_rate_makes_the_formulas_move_shorter(load):
+    """The test computes thrust, friction and mass independently."""
+    best = plan_profile(load, 32_000)
+    low, distance = best.fl / load.pulses_per_metre, 32_000 / load.pulses_per_metre
+
+    def compute_duration(top):
+        thrust = float(load.compute_max_thrust(np.array(top))) / SAFETY_FACTOR
+        drag = load.friction + load.damping * top
+        up, down = (thrust - drag) / load.mass, (thrust + drag) / load.mass
+        ramps = (top**2 - low**2) * (0.5 / up + 0.5 / down)
+        return np.inf if up <= 0 or ramps > distance else (top - low) * (1 / up + 1 / down) + (distance - ramps) / top
+
+    top = best.fh1 / load.pulses_per_metre
+    assert compute_duration(top) <= min(compute_duration(top * k) for k in np.linspace(0.7, 1.3, 61)) * 1.001
+
+
+def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower(load):
+    usual = plan_profile(load, 32_000)
+    for slower in (plan_profile(load, 32_000, safety_factor=2.0), plan_profile(load.add_mass(10.0), 32_000)):
+        assert slower.fh1 < usual.fh1
+        assert slower.get_accel_time() / slower.fh1 > usual.get_accel_time() / usual.fh1
 
 
 @pytest.mark.parametrize("pulses", [120, 200, 1000])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stage.envs
-from registerbench.baselines import few_shot_memory_gain, move_tuning, servo_formula, task_table
+from registerbench.baselines import few_shot_memory_gain, servo_formula, task_table
 from stage import Stage, StageError
 from stage.chips import HCTL1100
 from stage.envs import machine_contexts
@@ -35,13 +35,6 @@ def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_d
         > few_shot_memory_gain.compute_interval(fixed, statistic=np.mean)[1]
     )
     assert np.isfinite(times).mean() > 0.9
-
-
-def test_a_proof_of_a_move_is_over_many_angles():
-    with move_tuning.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=move_tuning.PROOF_SEED) as moves:
-        for _ in range(2):
-            moves.measure_rewards_of_actions(np.zeros((2, moves.size)))
-        assert len({angle for _, _, angle in moves.log.drawn}) == 4
 
 
 @pytest.mark.slow
