@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 import io
 import json
+import os
 import re
 import subprocess
 import sys
@@ -651,3 +652,18 @@ def test_an_entry_of_every_task_is_replayed_bit_for_bit(name):
     for split in (CARDS[name].splits[0], CARDS[name].splits[-1]):
         for player in ("random", "scripted"):
             assert registerbench.verify(registerbench.play(player, name, split, episodes=3)).exact
+
+
+@pytest.mark.slow
+def test_a_replay_does_not_depend_on_the_processor_features_that_numpy_uses(tmp_path):
+    """With AVX-512, NumPy has other logarithms."""
+    path = tmp_path / "scripted.bench"
+    registerbench.play("scripted", "bus-target", "train", episodes=8).write(path)
+    for disabled in ("", "X86_V4 AVX512_ICL"):
+        done = subprocess.run(
+            [sys.executable, "-c", f"import registerbench; print(registerbench.verify({str(path)!r}).exact)"],
+            env=os.environ | {"NPY_DISABLE_CPU_FEATURES": disabled},
+            capture_output=True,
+            text=True,
+        )
+        assert done.stdout.strip() == "True", done.stderr

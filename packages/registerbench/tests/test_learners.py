@@ -1,7 +1,6 @@
 """Tests of the learners of the benchmark: observations, action masks and learning progress."""
 
 import dataclasses
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -11,7 +10,6 @@ import registerbench
 import stage.envs  # noqa: F401
 from registerbench.benchmark_tasks import CARDS
 from registerbench.policies import PolicyContext
-from registerbench.score_statistics import compute_rows
 
 
 @pytest.fixture
@@ -129,36 +127,6 @@ def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(policies):
         table.select_first_machines(1).play_policy(policies.RememberingPolicy, w)
         == table.play_policy(policies.RememberingPolicy, w)[:1]
     )
-
-
-def test_memory_improves_the_last_attempt_by_more_than_the_intervals():
-    published = registerbench.read_entries(
-        Path(__file__).parents[1] / "docs" / "data" / "entries" / "few-shot-wide.zip"
-    )
-    results = {row.player: row for row in compute_rows(published.values()) if row.split == "train"}
-    assert results["es with memory"].beats(results["es without memory"])
-
-
-@pytest.fixture
-def curves():
-    pytest.importorskip("matplotlib")
-    from registerbench.baselines import learning_curves
-
-    return learning_curves
-
-
-def test_the_page_has_the_table_of_the_published_curves(curves):
-    assert curves.format_table(curves.read_runs(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
-
-
-def test_processor_time_of_published_curves_increases_and_includes_all_trials(curves):
-    """The table of a run of few-shot-wide takes about 20 s, included from the first point on."""
-    for task, players in curves.read_runs(curves.DATA).items():
-        for player, runs in players.items():
-            for run, points in runs.items():
-                spent = [float(p["processor_s"]) for p in points]
-                assert spent == sorted(spent), (task, player, run)
-                assert spent[-1] > 5, (task, player, run)
 
 
 def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_again():

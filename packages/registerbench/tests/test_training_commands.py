@@ -15,8 +15,8 @@ PLACES = ("{task}", "{split}", "{round}", "{run}", "{out}")
 
 
 def test_a_training_command_has_the_options_of_the_run_and_a_place_for_each_value():
-    command = training_commands.format_training_command("one_shot_learners", "sac", {"steps": 512})
-    assert command.startswith("python -m registerbench.baselines.one_shot_learners enter sac --steps 512 ")
+    command = training_commands.format_training_command("few_shot_learners", "sac", {"steps": 512})
+    assert command.startswith("python -m registerbench.baselines.few_shot_learners enter sac --steps 512 ")
     assert all(place in command for place in PLACES)
 
 
@@ -36,11 +36,6 @@ def train_es(module, folder):
     module.submit(folder / "one-shot_es-1.json", ["train"], folder)
 
 
-def train_ppo(module, folder):
-    module.learn("ppo", 1, 512, folder)
-    module.submit(folder / "one-shot_ppo-1.zip", ["train"], [], folder)
-
-
 def train_recurrent(module, folder):
     module.learn("recurrent", 1, 512, folder)
     module.submit(folder / "recurrent-1.zip", ["train"], [], folder)
@@ -53,7 +48,6 @@ def train_dqn(module, folder):
 
 LEARNERS = {
     "parametric_policy_learners": (train_es, "cmaes"),
-    "one_shot_learners": (train_ppo, "stable_baselines3"),
     "few_shot_learners": (train_recurrent, "sb3_contrib"),
     "bus_macros_learners": (train_dqn, "sb3_contrib"),
 }

@@ -1,4 +1,4 @@
-"""Methods that the benchmark measures (the formula, searches, learners), and the programs that write its results pages."""
+"""Learners and the oracle of the benchmark, the program that writes its headline table, and the engineer of a servo."""
 
 from __future__ import annotations
 

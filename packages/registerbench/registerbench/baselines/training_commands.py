@@ -3,7 +3,7 @@
 The learners write such a command into their entries (`Entry.training`), so `stage bench-table --spot-check` can train a run again
 and compare its actions. Every learner has the command:
 
-python -m registerbench.baselines.one_shot_learners enter sac --steps 4096 --task one-shot --split weak --run 3 -o again.bench
+python -m registerbench.baselines.few_shot_learners enter sac --steps 4096 --split weak --run 3 -o again.bench
 """
 
 from __future__ import annotations
