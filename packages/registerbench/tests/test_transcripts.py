@@ -195,6 +195,12 @@ def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
     assert replay(tmp_path / "r.jsonl").is_same
 
 
+def test_a_transcript_of_a_round_with_a_word_is_replayed_too(tmp_path):
+    came = play_games(make_suite("one-shot", episodes=1, round_="2027"), make_game_player("random"), "random")
+    write_transcript(came, tmp_path / "r.jsonl")
+    assert replay(tmp_path / "r.jsonl").is_same
+
+
 # --- runs that break off ---
 
 
