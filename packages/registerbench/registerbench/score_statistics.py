@@ -99,8 +99,8 @@ def compute_difference(
 
 
 def get_reference(task: str) -> str:
-    """Return the name of the shipped player to which others of a task are compared."""
-    return "formula" if "formula" in TASK_PLAYERS.get(task, {}) else "scripted"
+    """Return the name of the shipped player to which others of a task are compared: the strongest one that does not learn."""
+    return next((name for name in ("search", "formula") if name in TASK_PLAYERS.get(task, {})), "scripted")
 
 
 @lru_cache(maxsize=8)  # a table has few shapes

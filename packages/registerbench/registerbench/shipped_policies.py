@@ -50,14 +50,15 @@ class FixedSpeedFactorPolicy:
         return compute_scaled_action(self.speed_factor)
 
 
-class SpeedFactorSearch:
-    """Policy of few-shot that searches for the largest speed factor at which the encoder shows no lost step.
+class LastAttemptSearch:
+    """Policy of few-shot-wide, where the last attempt is the answer: it searches for the largest speed factor that keeps step.
 
     It multiplies the speed factor by STEP_FACTOR until an attempt fails, then tries between the fastest success and the slowest
-    failure (at BISECTION_SHARE of the way, on a logarithmic scale), until a step gains less than MIN_GAIN_FACTOR.
+    failure (at BISECTION_SHARE of the way, on a logarithmic scale). The last attempt is FINAL_RETREAT_FACTOR slower than the
+    fastest success.
     """
 
-    STEP_FACTOR, BISECTION_SHARE, MIN_GAIN_FACTOR, RETREAT_FACTOR, FIRST_SPEED_FACTOR = 1.12, 0.5, 1.1, 1.4, 3.4 / 1.12
+    FIRST_SPEED_FACTOR, STEP_FACTOR, BISECTION_SHARE, RETREAT_FACTOR, FINAL_RETREAT_FACTOR = 2.0, 1.16, 0.2, 1.35, 1.1
 
     def reset(self, policy_context: PolicyContext) -> None:
         self.kept_indices = [k for k, name in enumerate(policy_context.feature_names) if name == "kept"]
@@ -68,6 +69,8 @@ class SpeedFactorSearch:
         if self.attempts:
             self._update_bounds(observation[self.kept_indices[min(self.attempts, len(self.kept_indices)) - 1]] > 0)
         self.attempts += 1
+        if self.attempts == few_shot.Config.tries and self.fastest_success is not None:
+            self.latest = self.fastest_success / self.FINAL_RETREAT_FACTOR
         return compute_scaled_action(self.latest)
 
     def _update_bounds(self, in_step: bool) -> None:
@@ -81,28 +84,53 @@ class SpeedFactorSearch:
             self.latest = self.slowest_failure / self.RETREAT_FACTOR
             return
         between = self.fastest_success ** (1 - self.BISECTION_SHARE) * self.slowest_failure**self.BISECTION_SHARE
-        faster = self.fastest_success * self.STEP_FACTOR if np.isinf(self.slowest_failure) else between
-        self.latest = faster if faster > self.fastest_success * self.MIN_GAIN_FACTOR else self.fastest_success
+        self.latest = self.fastest_success * self.STEP_FACTOR if np.isinf(self.slowest_failure) else between
 
 
-class FinalTrySpeedFactorSearch(SpeedFactorSearch):
-    """Search for tasks whose last attempt is the answer: closer to the fastest success, in the last attempt slower than that."""
+class LowestCostSearch:
+    """Policy of few-shot that searches for the speed factor with the lowest cost that a host can observe.
 
-    STEP_FACTOR, BISECTION_SHARE, MIN_GAIN_FACTOR, RETREAT_FACTOR, FIRST_SPEED_FACTOR, FINAL_RETREAT_FACTOR = (
-        1.16,
-        0.2,
-        1.0,
-        1.35,
-        2.0,
-        1.1,
-    )
+    The cost is that of the task: the seconds of the move, and the price of the swing that the encoder shows. The first
+    LADDER_LENGTH attempts multiply the speed factor by LADDER_FACTOR, until one loses steps. Each further attempt goes between the
+    best speed factor so far and a neighbour of it, where the gap is larger.
+    """
+
+    FIRST_SPEED_FACTOR, LADDER_FACTOR, LADDER_LENGTH = 1.5, 1.5, 4
+
+    def reset(self, policy_context: PolicyContext) -> None:
+        names = policy_context.feature_names
+        self.in_step_indices = [k for k, name in enumerate(names) if name == "kept"]
+        self.swing_indices = [k for k, name in enumerate(names) if name == "swing"]
+        self.costs_by_speed_factor: dict[float, float] = {}
+        self.latest, self.attempts = self.FIRST_SPEED_FACTOR, 0
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
-        action = super().__call__(observation, info)
-        if self.attempts < few_shot.Config.tries or self.fastest_success is None:
-            return action
-        self.latest = self.fastest_success / self.FINAL_RETREAT_FACTOR
+        if self.attempts:
+            self.costs_by_speed_factor[self.latest] = self._compute_cost(observation, info)
+            self.latest = self._choose_next_speed_factor()
+        self.attempts += 1
         return compute_scaled_action(self.latest)
+
+    def _compute_cost(self, observation: np.ndarray, info: Mapping[str, Any]) -> float:
+        """Compute the cost of the last attempt, s; infinite if it lost steps."""
+        latest = min(self.attempts, len(self.in_step_indices)) - 1
+        if observation[self.in_step_indices[latest]] <= 0:
+            return np.inf
+        swing = float(observation[self.swing_indices[latest]])
+        return info["duration"] + few_shot.Config.vibration_weight * swing / max(1 - swing, 1e-6)
+
+    def _choose_next_speed_factor(self) -> float:
+        """Choose the speed factor of the next attempt from the costs of all attempts."""
+        tried = sorted(self.costs_by_speed_factor)
+        best = min(tried, key=self.costs_by_speed_factor.__getitem__)
+        if np.isinf(self.costs_by_speed_factor[best]):
+            return tried[0] / self.LADDER_FACTOR
+        if len(tried) < self.LADDER_LENGTH and all(np.isfinite(cost) for cost in self.costs_by_speed_factor.values()):
+            return self.latest * self.LADDER_FACTOR
+        rank = tried.index(best)
+        gap_above = (tried[rank + 1] / best) ** 0.5 if best < tried[-1] else self.LADDER_FACTOR
+        gap_below = (best / tried[rank - 1]) ** 0.5 if rank else self.LADDER_FACTOR
+        return best * gap_above if gap_above >= gap_below else best / gap_below
 
 
 def compute_scaled_action(speed_factor: float) -> np.ndarray:
@@ -123,13 +151,13 @@ TASK_PLAYERS: dict[str, dict[str, Callable[[int], Policy]]] = {
     | {
         "usual": lambda seed: FixedSpeedFactorPolicy(1.0),
         "fixed": lambda seed: FixedSpeedFactorPolicy(3.4),
-        "search": lambda seed: SpeedFactorSearch(),
+        "search": lambda seed: LowestCostSearch(),
     },
     "few-shot-wide": FORMULA
     | {
         "usual": lambda seed: FixedSpeedFactorPolicy(1.0),
         "fixed": lambda seed: FixedSpeedFactorPolicy(2.6),
-        "search": lambda seed: FinalTrySpeedFactorSearch(),
+        "search": lambda seed: LastAttemptSearch(),
     },
     "line": FORMULA,
     "line-3": FORMULA,

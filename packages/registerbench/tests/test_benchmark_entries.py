@@ -21,7 +21,7 @@ import stage.envs
 from registerbench import entry_files, score_statistics
 from registerbench.benchmark_tasks import CARDS, Card, list_test_seeds
 from registerbench.entry_files import EntryError, unpack_entry
-from registerbench.shipped_policies import FinalTrySpeedFactorSearch, RandomPolicy, SpeedFactorSearch
+from registerbench.shipped_policies import LastAttemptSearch, LowestCostSearch, RandomPolicy
 from stage import ArgumentError
 from stage.cli import main
 from stage.envs import machine_contexts
@@ -427,25 +427,43 @@ def test_a_random_player_keeps_to_the_actions_that_are_allowed():
     assert {int(player(None, {})) for _ in range(60)} == set(range(5))
 
 
-def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luck():
-    """Eight tries; the encoder says of each whether it has kept step"""
+def play_search(player, holds, swing=lambda speed_factor: 0.0):
+    """Return the speed factors of eight attempts; an attempt takes 1 s / its speed factor, and observations have all attempts."""
+    names, speed_factors = ("kept", "swing") * 8, []
+    observed, info = np.full(16, -1.0), {}
+    player.reset(SimpleNamespace(feature_names=names))
+    for k in range(8):
+        player(observed, info)
+        speed_factors.append(player.latest)
+        info = {"duration": 1 / player.latest}
+        observed[2 * k], observed[2 * k + 1] = 1.0 if holds(k, player.latest) else -1.0, swing(player.latest)
+    return speed_factors
 
-    def played(holds, player):
-        observed, created = np.full(16, -1.0), []
-        player.reset(SimpleNamespace(feature_names=("duration", "kept") * 8))
-        for k in range(8):
-            player(observed, {})
-            created.append(player.latest)
-            observed[2 * k + 1] = 1.0 if holds(k, player.latest) else -1.0
-        return created
 
-    created = played(lambda k, speed_factor: speed_factor < 4.1, SpeedFactorSearch())
-    assert created[:3] == pytest.approx([3.4 / 1.12, 3.4, 3.4 * 1.12])
-    assert 4.1 / 1.25 < created[-1] < 4.1
-    lucky = played(lambda k, speed_factor: k < 2, SpeedFactorSearch())
-    assert lucky[2:6] == pytest.approx([3.4 * 1.12, 3.4, 3.4 / 1.4, 3.4 / 1.4**2]), "at 3.4 it has held by luck"
-    careful = played(lambda k, speed_factor: speed_factor < 3.0, FinalTrySpeedFactorSearch())
+def test_the_search_of_few_shot_closes_in_on_the_fastest_move_that_keeps_step():
+    speed_factors = play_search(LowestCostSearch(), lambda k, speed_factor: speed_factor < 4.1)
+    assert speed_factors[:4] == pytest.approx([1.5, 1.5**2, 1.5**3, 1.5**4])
+    assert 4.1 / 1.1 < max(b for b in speed_factors if b < 4.1) < 4.1
+    weak = play_search(LowestCostSearch(), lambda k, speed_factor: speed_factor < 1.2)
+    assert weak[1] == pytest.approx(1.0), "it retreats until an attempt keeps step"
+    assert 1.2 / 1.1 < max(b for b in weak if b < 1.2) < 1.2
+
+
+def test_the_search_of_few_shot_slows_down_for_a_machine_that_swings():
+    def swing(speed_factor):
+        return 0.0 if speed_factor < 2.0 else 0.98
+
+    speed_factors = play_search(LowestCostSearch(), lambda k, speed_factor: True, swing)
+    assert speed_factors[3] == pytest.approx(1.5**4), "the encoder shows no lost step, so it climbs the whole ladder"
+    assert max(speed_factors[4:]) < 2.0 * 1.25, "then it searches where the swing costs less than the time"
+    assert max(b for b in speed_factors if b < 2.0) > 1.5
+
+
+def test_the_search_of_few_shot_wide_answers_below_its_fastest_success():
+    careful = play_search(LastAttemptSearch(), lambda k, speed_factor: speed_factor < 3.0)
     assert careful[-1] == pytest.approx(max(b for b in careful if b < 3.0) / 1.1), "its last try is its answer"
+    lucky = play_search(LastAttemptSearch(), lambda k, speed_factor: k < 1)
+    assert lucky[1:4] == pytest.approx([2.0 * 1.16, 2.0 * 1.16**0.2, lucky[2] / 1.16**0.16]), "bisects"
 
 
 def test_recorded_actions_are_replayed_and_their_number_must_match_the_steps(entry, tmp_path):

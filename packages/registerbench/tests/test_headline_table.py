@@ -56,7 +56,7 @@ def test_one_command_makes_the_table_from_nothing_and_continues_after_an_interru
 def test_the_full_plan_fits_into_two_hours_on_two_processors():
     jobs = headline_table.list_jobs(FULL_PLAN)
     assert headline_table.select_jobs(jobs, TWO_HOURS, 2, 1) == (jobs, [])
-    assert {job.run for job in jobs if job.player == "ppo-recurrent"} == set(range(10))
+    assert {job.run for job in jobs if job.player == "recurrent-ppo"} == set(range(10))
 
 
 def test_a_shorter_time_leaves_out_the_last_runs_of_the_learners_and_says_so(tmp_path, capsys):

@@ -1,28 +1,25 @@
-"""PPO on `stage/FewShotTuning-v1` with and without memory: the worth of memory to a learner from scratch.
+"""PPO, recurrent PPO and SAC of Stable-Baselines3 on `stage/FewShotTuning-v1`, each from scratch.
 
-python -m registerbench.baselines.few_shot_learners learn none --seed 0 -o runs
-python -m registerbench.baselines.few_shot_learners learn recurrent --seed 0 -o runs
-python -m registerbench.baselines.few_shot_learners submit runs/recurrent-0.zip -o entries --splits train weak
+python -m registerbench.baselines.few_shot_learners learn recurrent-ppo --seed 0 -o runs
+python -m registerbench.baselines.few_shot_learners submit runs/recurrent-ppo-0.zip -o entries --splits train weak
 
-none       PPO that observes only the distance and the number of attempts left, so it knows nothing of earlier attempts
-all        PPO that observes every attempt of the episode (memory="all")
-recurrent  recurrent PPO (an LSTM) that observes only the last attempt (memory="last") and remembers the others itself
+ppo, sac        observe every attempt of the episode (memory="all")
+recurrent-ppo   an LSTM observes only the last attempt (memory="last") and remembers the others itself
 
-`learn` writes the policy and its curve, a CSV with a row a batch. `submit` plays the test episodes of splits and packs them, see
-docs/benchmark.md. Needs the extra `rl`.
+`learn` writes the policy and its curve, a CSV file with a row for each BATCH attempts. `submit` plays the test episodes of splits
+with the mean action of the policy and packs them, see docs/benchmark.md. Nothing was chosen by test episodes. Needs the extra `rl`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 from sb3_contrib import RecurrentPPO
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecEnvWrapper
+from stable_baselines3 import PPO, SAC
 
 from registerbench.baselines import exit_on_interrupt
 from registerbench.baselines.bench_entries import write_entry
@@ -34,58 +31,59 @@ from registerbench.baselines.learner_support import (
     read_training,
     save_policy,
 )
+from registerbench.baselines.training_envs import CHEAPER_SETTINGS
 from registerbench.benchmark_tasks import OPEN_ROUND
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
-MEMORY_BY_METHOD = {"none": "last", "all": "all", "recurrent": "last"}
-"""Setting `memory` of the environment by method."""
-VISIBLE_FEATURES = {"none": ("distance", "left")}
-"""Features that a method observes, if not all."""
-STEPS, PARALLEL_ENVS, BATCH = 16_384, 16, 512
+STEPS, PARALLEL_ENVS, BATCH = 4_096, 16, 512
 PROOFS = 2  # in training, to make it cheaper; tests use the task's own number
-SETTINGS: dict[str, Any] = {
-    "n_steps": BATCH // PARALLEL_ENVS, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3, "gamma": 1.0, "gae_lambda": 0.95,
-    "device": "cpu",
-}  # fmt: skip
-NETS: dict[str, dict[str, Any]] = {
-    "none": {"net_arch": [64, 64], "log_std_init": -0.7},
-    "all": {"net_arch": [64, 64], "log_std_init": -0.7},
-    "recurrent": {"net_arch": [64], "log_std_init": -0.7, "lstm_hidden_size": 64},
+INITIAL_LOG_STD = -0.7  # logarithm of the standard deviation of the first choices
+ON_POLICY: dict[str, Any] = {
+    "n_steps": BATCH // PARALLEL_ENVS,
+    "batch_size": 128,
+    "n_epochs": 10,
+    "gae_lambda": 0.95,
 }
 
 
-def find_visible_columns(method: str, names: Any) -> np.ndarray:
-    """Return the indices of the features that a method observes.
+@dataclass(frozen=True)
+class Method:
+    """Method of Stable-Baselines3 with its settings.
 
-    Args:
-        method: Name of the method.
-        names: Names of all features of an observation.
-    """
-    return np.array([k for k, name in enumerate(names) if name in VISIBLE_FEATURES.get(method, names)])
-
-
-class SelectedColumnsVecEnv(VecEnvWrapper):
-    """Wrapper that keeps only some columns of the observations.
-
-    Args:
-        envs: The environments.
-        which: Indices of the columns.
+    Attributes:
+        algorithm: Class of the algorithm.
+        policy: Name of the policy class.
+        memory: Setting `memory` of the environment.
+        policy_kwargs: Arguments of the policy class.
+        settings: Arguments of the algorithm.
     """
 
-    def __init__(self, envs: Any, which: np.ndarray):
-        super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (len(which),), np.float32))
-        self.which = which
+    algorithm: Any
+    policy: str
+    memory: str
+    policy_kwargs: dict[str, Any]
+    settings: dict[str, Any] = field(default_factory=dict)
 
-    def reset(self) -> Any:
-        observation: Any = self.venv.reset()
-        return observation[:, self.which]
 
-    def step_wait(self) -> Any:
-        observation, rewards, ends, infos = self.venv.step_wait()
-        for k in np.flatnonzero(ends):
-            infos[k]["terminal_observation"] = infos[k]["terminal_observation"][self.which]
-        return observation[:, self.which], rewards, ends, infos  # type: ignore[index]
+METHODS = {
+    "ppo": Method(PPO, "MlpPolicy", "all", {"net_arch": [64, 64], "log_std_init": INITIAL_LOG_STD}, ON_POLICY),
+    "recurrent-ppo": Method(
+        RecurrentPPO,
+        "MlpLstmPolicy",
+        "last",
+        {"net_arch": [64], "log_std_init": INITIAL_LOG_STD, "lstm_hidden_size": 64},
+        ON_POLICY,
+    ),
+    "sac": Method(
+        SAC,
+        "MlpPolicy",
+        "all",
+        {"net_arch": [64, 64]},
+        {"learning_starts": BATCH, "train_freq": 1, "gradient_steps": PARALLEL_ENVS // 2, "batch_size": 128, "ent_coef": 0.01},
+    ),
+}  # fmt: skip
+"""Methods by their name."""
 
 
 def learn(method: str, seed: int, steps: int, folder: Path) -> None:
@@ -98,13 +96,20 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
         folder: Folder of the files.
     """
     torch.set_num_threads(1)
-    raw = StageVecEnv(ID, PARALLEL_ENVS, threads=1, memory=MEMORY_BY_METHOD[method], proofs=PROOFS)
-    envs = EpisodeRecorder(
-        SelectedColumnsVecEnv(raw, find_visible_columns(method, [e.name for e in raw.envs.observation_features]))
+    selected, cheaper = METHODS[method], CHEAPER_SETTINGS[TASK]
+    envs = EpisodeRecorder(StageVecEnv(ID, PARALLEL_ENVS, threads=1, memory=selected.memory, proofs=PROOFS, **cheaper))
+    model = selected.algorithm(
+        selected.policy,
+        envs,
+        seed=seed,
+        policy_kwargs=selected.policy_kwargs,
+        learning_rate=1e-3,
+        gamma=1.0,
+        device="cpu",
+        **selected.settings,
     )
-    kind: Any = RecurrentPPO if method == "recurrent" else PPO
-    policy = "MlpLstmPolicy" if method == "recurrent" else "MlpPolicy"
-    model = kind(policy, envs, seed=seed, policy_kwargs=NETS[method], **SETTINGS)
+    if selected.algorithm is SAC:
+        torch.nn.init.constant_(model.actor.log_std.bias, INITIAL_LOG_STD)
     path = folder / f"{method}-{seed}"
     model.learn(steps, callback=LearningCurveWriter(path.with_suffix(".csv"), BATCH))
     envs.close()
@@ -120,16 +125,14 @@ class FewShotPolicy:
     """
 
     def __init__(self, method: str, path: Path):
-        self.method = method
-        kind: Any = RecurrentPPO if method == "recurrent" else PPO
-        self.model = kind.load(path, device="cpu")
+        self.model = METHODS[method].algorithm.load(path, device="cpu")
 
     def reset(self, policy_context: Any) -> None:
-        self.which, self.state = find_visible_columns(self.method, policy_context.feature_names), None
+        self.state = None
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         begins = np.array([self.state is None])
-        action, self.state = self.model.predict(observation[self.which], self.state, begins, deterministic=True)
+        action, self.state = self.model.predict(observation, self.state, begins, deterministic=True)
         return np.clip(action, -1, 1)
 
 
@@ -144,20 +147,20 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path, round_
         round_: Round of the benchmark.
     """
     torch.set_num_threads(1)
-    method, run = path.stem.split("-")
+    method, _, run = path.stem.rpartition("-")
     settings = {
-        "settings": {"memory": MEMORY_BY_METHOD[method]},
-        "name": f"ppo, memory {method}",
+        "settings": {"memory": METHODS[method].memory},
+        "name": method.replace("-", " "),
         "cost": read_cost(path),
         "training": read_training(path, "few_shot_learners", method),
         "round_": round_,
     }
     for split in splits:
-        write_entry(FewShotPolicy(method, path), TASK, split, folder, f"ppo-{method}", int(run), **settings)
+        write_entry(FewShotPolicy(method, path), TASK, split, folder, method, int(run), **settings)
 
 
 if __name__ == "__main__":
-    parser = make_parser(__doc__, tuple(MEMORY_BY_METHOD), STEPS, learn, submit, (TASK,))
+    parser = make_parser(__doc__, tuple(METHODS), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
     with exit_on_interrupt(
         "the curve so far and earlier files are saved; the same command learns the whole run again."

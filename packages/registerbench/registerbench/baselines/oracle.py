@@ -4,9 +4,9 @@ python -m registerbench.baselines.oracle -o entries --tasks one-shot home --spli
 
 It begins with the actions of the task's scripted host, and with a report if the machine has a fault that is to be reported. Then it
 changes them by normal numbers, keeps the best, and narrows the search when nothing better comes. In a task of several attempts,
-each try is an episode of one attempt; the best PARALLEL_ENVS of them are then played as whole episodes whose attempts are all
-the same, and the best of these counts. The oracle plays every try on the machine of the test episode itself, which no player
-may do; the entry states the number of steps as its cost, and is on the track truth.
+each try is an episode of one attempt, on the reduced model; the best PARALLEL_ENVS of them are then played as whole episodes on
+the machine itself, with attempts that are all the same, and the best of these counts. The oracle plays every try on the machine
+of the test episode, which no player may do; the entry states the number of steps as its cost, and is on the track truth.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class EpisodeSearch:
         self._attempts = getattr(self._env.task_instance.config, "tries", 1)
         self._single_attempts = self._envs
         if self._attempts > 1:
-            self._single_attempts = make_training_envs(card.name, PARALLEL_ENVS, split=split, truth=True, tries=1)
+            single = {"split": split, "truth": True, "tries": 1, "reduced": True}
+            self._single_attempts = make_training_envs(card.name, PARALLEL_ENVS, **single)
         self.steps = 0
 
     def play_scripted_host(self, seed: int) -> tuple[list[np.ndarray], bool]:

@@ -10,12 +10,13 @@ import stage.envs  # noqa: F401 (registers the environments)
 from registerbench.benchmark_tasks import CARDS
 
 CHEAPER_SETTINGS: dict[str, dict[str, Any]] = {
-    "one-shot": {"proofs": 1, "settle": 0.03},
-    "few-shot": {"settle": 0.03},
-    "few-shot-wide": {"settle": 0.03},
+    "one-shot": {"proofs": 1, "settle": 0.03, "reduced": True},
+    "few-shot": {"settle": 0.03, "reduced": True},
+    "few-shot-wide": {"settle": 0.03, "reduced": True},
+    "home": {"reduced": True},
     "line": {"proofs": 1, "rest": 0.03},
 }
-"""Settings of training by the name of the card: fewer proofs and shorter waits than in the test episodes."""
+"""Settings of training by the name of the card: fewer proofs and shorter waits than in the test episodes, and the reduced model."""
 
 
 def make_training_envs(task: str, machines: int, **settings: Any) -> Any:
