@@ -1,7 +1,9 @@
 """Tests of games, transcripts, entries and the shipped players."""
 
 import json
+import re
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +46,15 @@ def test_the_formula_scores_the_same_with_and_without_tools():
     by_tools = play_games(make_suite("one-shot", episodes=3), make_game_player("formula"))
     alone = registerbench.play("formula", "one-shot", episodes=3)
     assert [r.score["return"] for r in by_tools.games] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("player", "column"), [("formula", 0), ("trained", 4)])
+def test_the_table_of_the_page_has_the_scores_of_the_shipped_players(player, column):
+    page = (Path(__file__).parents[1] / "docs" / "measuring_agents.md").read_text()
+    cells = re.search(r"^\| `one-shot` \| (.*) \|$", page, re.M)[1].split(" | ")
+    played = play_games(make_suite("one-shot", episodes=16), make_game_player(player))
+    assert cells[column] == f"{played.value:.2f} ({played.low:.2f} to {played.high:.2f})"
 
 
 def test_a_player_that_leaves_early_is_scored_and_its_entry_is_valid():
