@@ -23,8 +23,6 @@ TRACKS = {
 DRAWN_ROUND = "drawn"  # stands for a round whose word is drawn when the policy is frozen
 OPEN_ROUND = "open"  # the round whose seeds are public: docs/benchmark.md lists them
 FIRST_TEST_SEED, SEED_LIMIT = 1_000_000, 1 << 62  # learners may use all seeds below the first of them
-EARLY_ROUNDS, EARLY_SEED_LIMIT = ("2026-11",), 1 << 31
-"""Rounds whose seeds lie below 1 << 31, so few that a policy can find that of its episode by the first observation in a minute."""
 
 
 def list_splits_except(*splits: str) -> tuple[str, ...]:
@@ -243,8 +241,7 @@ def draw_test_seeds(games: str, round_: str, count: int) -> list[int]:
         return [FIRST_TEST_SEED + k for k in range(count)]
     texts = [f"{games} {round_} {k}".encode() for k in range(count)]
     hashes = [int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little") for text in texts]
-    first, limit = FIRST_TEST_SEED + count, EARLY_SEED_LIMIT if round_ in EARLY_ROUNDS else SEED_LIMIT
-    return [first + number % (limit - first) for number in hashes]
+    return [FIRST_TEST_SEED + count + number % (SEED_LIMIT - FIRST_TEST_SEED - count) for number in hashes]
 
 
 def draw_round(policy: str) -> str:
