@@ -1,9 +1,9 @@
 """Checks of entries before they are compared: replay, copies, shipped players, and training runs that are made again.
 
 Nothing that an entry claims counts: its rewards come from a replay, runs with the same actions are copies, and a player counts
-as one that does not learn only if it is shipped and plays these actions again. A learner's run counts if its training command,
-run again, gives its actions again; `spot_checks` says for how many runs of each player this is tried. Commands come from the
-authors of entries, so none is run unless the caller asks for it.
+as one that does not learn only if it is shipped and plays all of these actions again. A learner's run counts if its training
+command, run again, gives its actions again; `spot_checks` says for how many runs of each player this is tried. Commands come
+from the authors of entries, so none is run unless the caller asks for it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from registerbench.entry_files import Entry
 from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
 from stage.errors import ArgumentError, StageError
 
-SHIPPED_EPISODES = 4  # episodes for which a shipped player is played again
 TRAINING_TIME_LIMIT_S = 24 * 3600.0
 
 
@@ -36,12 +35,14 @@ class EntryCheck:
     Attributes:
         replayed: Whether a replay has confirmed every reward, observation and score.
         shipped: Whether a shipped player of this name plays its actions again, so that nothing was learned.
+        misnamed: Whether it has the name of a shipped player, which does not play its actions.
         retrained: Whether its training command gave its actions again; None if that was not tried.
         note: Reason of a check that failed, in words; "" if none failed.
     """
 
     replayed: bool = False
     shipped: bool = False
+    misnamed: bool = False
     retrained: bool | None = None
     note: str = ""
 
@@ -90,26 +91,23 @@ def _describe(e: Entry) -> str:
 def _check_replay(e: Entry, report_progress: Callable[[str], None]) -> EntryCheck:
     """Replay an entry, and play the shipped player of its name again."""
     report_progress(f"replays {_describe(e)}")
+    is_shipped_name = e.player in {**COMMON_PLAYERS, **TASK_PLAYERS.get(e.task, {})}
     try:
         verdict = entry_replay.verify(e)
         if not verdict.exact:
-            return EntryCheck(note=f"differs here: {verdict.first_difference}")
-        return EntryCheck(replayed=True, shipped=_is_shipped(e))
+            return EntryCheck(misnamed=is_shipped_name, note=f"differs here: {verdict.first_difference}")
+        shipped = is_shipped_name and _is_played_again(e)
+        return EntryCheck(replayed=True, shipped=shipped, misnamed=is_shipped_name and not shipped)
     except StageError as why:
-        return EntryCheck(note=str(why))
+        return EntryCheck(misnamed=is_shipped_name, note=str(why))
 
 
-def _is_shipped(e: Entry) -> bool:
-    """Return whether a player of the entry's name that the package ships repeats its first episodes, action by action."""
-    if e.player not in {**COMMON_PLAYERS, **TASK_PLAYERS.get(e.task, {})}:
-        return False
-    count = min(SHIPPED_EPISODES, len(e.seeds))
+def _is_played_again(e: Entry) -> bool:
+    """Return whether the shipped player of an entry's name makes all of its actions again."""
     again = entry_creation.play(
-        e.player, e.task, e.split, track=e.track, round_=e.round, settings=e.settings, run=e.run, episodes=count
+        e.player, e.task, e.split, track=e.track, round_=e.round, settings=e.settings, run=e.run, episodes=len(e.seeds)
     )
-    return np.array_equal(again.steps, e.steps[:count]) and np.array_equal(
-        again.actions, e.actions[: len(again.actions)]
-    )
+    return digest_actions(again) == digest_actions(e)
 
 
 def _group_runs(entries: list[Entry], checks: list[EntryCheck]) -> list[list[int]]:

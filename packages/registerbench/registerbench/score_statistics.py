@@ -26,6 +26,7 @@ BOOTSTRAP_SAMPLES, CONFIDENCE_LEVEL = 2000, 0.95
 MAX_NUMBERS_AT_ONCE = 100_000  # of one batch of bootstrap samples: 800 kB
 MIN_LEARNER_RUNS = 10  # a learner with fewer training runs beats nobody
 ORACLE, ORACLE_TRACK = "oracle", "truth"  # the player that searches on the true machine, and its track
+UNCONFIRMED = "(not confirmed)"  # follows the name of a shipped player that has not made the actions
 LONG_TABLE_SCORES = {"lost_steps": "steps lost", "limits": "limits", "moves": "steps"}
 """Scores whose mean over the episodes stands in a long table, and the heading of each column."""
 
@@ -187,12 +188,13 @@ class ScoreRow:
     def beats(self, other: ScoreRow) -> bool:
         """Return whether this player beats another without doubt.
 
-        It does if the whole interval of the difference of their IQMs on the same machines is above 0, and its row has no doubt.
+        It does if the whole interval of the difference of their IQMs on the same machines is above 0, its row has no doubt, and
+        the scores of the other one are confirmed, too.
 
         Args:
             other: Row of the same task, split, track and round.
         """
-        if self.table_key != other.table_key or self.doubt:
+        if self.table_key != other.table_key or self.doubt or not other.replayed:
             return False
         return compute_difference(self.scores, other.scores)[1] > 0
 
@@ -247,8 +249,12 @@ def compute_rows(entries: Iterable[Entry], checks: Sequence[EntryCheck] | None =
     groups: dict[tuple[str, str, str, str, str], list[tuple[Entry, EntryCheck | None]]] = {}
     for k, e in enumerate(entries):
         _require_all_test_episodes(e)
-        key = (e.task, e.split, e.track, e.round, e.player)
-        groups.setdefault(key, []).append((e, None if checks is None else checks[k]))
+        check = None if checks is None else checks[k]
+        if (
+            check is not None and check.misnamed
+        ):  # such an entry is no run of the shipped player, and never the reference
+            e = replace(e, player=f"{e.player} {UNCONFIRMED}")
+        groups.setdefault((e.task, e.split, e.track, e.round, e.player), []).append((e, check))
     rows = _add_comparisons([_compute_row(runs) for runs in groups.values()])
     return sorted(rows, key=lambda r: (*r.table_key, not r.replayed, -r.value))
 

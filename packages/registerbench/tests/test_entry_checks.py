@@ -68,9 +68,44 @@ def test_what_is_no_shipped_player_has_learned_whatever_it_states(honest):
     formula = registerbench.play("formula", "one-shot", episodes=4)
     assert check_entries([formula])[0].shipped
     assert not check_entries([dataclasses.replace(formula, player="scripted of my own")])[0].shipped
-    row = compute_rows(claim(honest, "formula", cost={}))["formula"]
-    assert row.learned, "the shipped formula acts otherwise"
+    row = compute_rows(claim(honest, "scripted", cost={}))["scripted (not confirmed)"]
+    assert row.learned, "the shipped host acts otherwise"
     assert row.doubt.startswith("too few runs")
+
+
+def test_a_player_that_begins_as_a_shipped_one_is_not_that_player(honest):
+    """Play four episodes as the shipped player, and the rest as one likes: it had not learned, and beat others with one run."""
+    scripted = registerbench.play("scripted", "brief")
+    actions = scripted.actions.copy()
+    actions[3] = honest.actions[3]
+    mixed = registerbench.play(RecordedPolicy(actions), "brief", name="scripted")
+    check, other = check_entries([scripted, mixed])
+    assert (check.shipped, check.misnamed) == (True, False)
+    assert (other.shipped, other.misnamed, other.replayed) == (False, True, True)
+
+
+class RecordedPolicy:
+    def __init__(self, actions):
+        self.actions = iter(actions)
+
+    def __call__(self, observation, info):
+        return next(self.actions)
+
+
+def test_nobody_makes_the_reference_worse_by_an_entry_of_its_name(honest):
+    """Enter a second run of the reference that loses steps, or whose rewards were typed: others beat the mean of both."""
+    reference = registerbench.play("scripted", "brief")
+    bad = registerbench.play(lambda o, i: make_action(6000, 60_000, 0.01, 0.01), "brief", name="scripted", run=1)
+    for sabotage in (bad, claim(reference, "scripted", run=1, rewards=-9.0)):
+        rows = compute_rows(reference, sabotage, honest)
+        assert rows["scripted"].value == pytest.approx(score_statistics.compute_iqm(reference.scores["return"]))
+        assert rows["scripted"].replayed
+        assert rows["scripted (not confirmed)"].doubt
+        expected = score_statistics.compute_difference(honest.scores["return"][None], reference.scores["return"][None])
+        assert rows["honest"].difference == pytest.approx(expected[0])
+    typed = rows["scripted (not confirmed)"]
+    assert rows["scripted"].value > typed.value, "but its rewards are not confirmed"
+    assert not rows["scripted"].beats(typed)
 
 
 TRAINING = """
