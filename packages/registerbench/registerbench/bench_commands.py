@@ -89,7 +89,7 @@ def add_bench_table(commands: Any) -> None:
         commands, "bench-table", print_tables, "compare entries of the benchmark, as tables in Markdown",
         "Print a table for each task, split, track and round: interquartile mean (IQM) and mean of the return with intervals, "
         "and who beats whom on the same machines. Entries of one player are its runs, and have all test episodes. Each entry is "
-        "replayed; what is not confirmed stands below the rest and beats nobody. Runs with the same actions count once.",
+        "replayed; what is not confirmed stands below the rest and beats nobody. Runs that do the same count once.",
         ("stage bench-table formula.bench mine.bench", "who beats whom"),
         ("stage bench-table *.bench --long", "regret, damage and steps, too"),
         ("stage bench-table *.bench --spot-check 2", "train two runs of each learner again, by the commands in the entries"),

@@ -1,7 +1,7 @@
 """Checks of entries before they are compared: replay, copies, shipped players, and training runs that are made again.
 
-Nothing that an entry claims counts: its rewards come from a replay, runs with the same actions are copies, and a player counts
-as one that does not learn only if it is shipped and plays all of these actions again. A learner's run counts if its training
+Nothing that an entry claims counts: its rewards come from a replay, runs that do the same are copies, and a player counts as
+one that does not learn only if it is shipped and plays all of these actions again. A learner's run counts if its training
 command, run again, gives its actions again; `spot_checks` says for how many runs of each player this is tried. Commands come
 from the authors of entries, so none is run unless the caller asks for it.
 """
@@ -26,6 +26,10 @@ from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
 from stage.errors import ArgumentError, StageError
 
 TRAINING_TIME_LIMIT_S = 24 * 3600.0
+EQUAL_RETURN = 1e-3  # returns that differ by less are equal: the last digit of the tables
+MAX_EQUAL_SHARE = (
+    0.5  # of the solved episodes; different runs of the learners here have equal returns in up to 0.12 of them
+)
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,34 @@ def digest_actions(e: Entry) -> str:
     digest = hashlib.blake2b(np.ascontiguousarray(e.actions).tobytes(), digest_size=16)
     digest.update(np.ascontiguousarray(e.steps).tobytes())
     return digest.hexdigest()
+
+
+def select_different_runs(runs: Iterable[Entry]) -> list[Entry]:
+    """Return the runs of a player without copies: each differs from all others that are returned, see `is_copy`."""
+    different: list[Entry] = []
+    for run in runs:
+        if not any(is_copy(run, other) for other in different):
+            different.append(run)
+    return different
+
+
+def is_copy(e: Entry, other: Entry) -> bool:
+    """Return whether two runs of a task do the same: their actions are equal, or most of what they solve ends with equal returns.
+
+    A copy may have other actions that change nothing, such as the address of a wait, or a rate that differs by its last bit.
+    Episodes of which neither run gains anything do not count, because failures cost the same.
+
+    Args:
+        e: Entry of a run.
+        other: Entry of another run of the same episodes.
+    """
+    if digest_actions(e) == digest_actions(other):
+        return True
+    returns, others = e.scores["return"], other.scores["return"]
+    gained = np.maximum(returns, others) > EQUAL_RETURN
+    for scores in (e.scores, other.scores):
+        gained &= scores.get("success", np.ones(len(returns))) > 0
+    return bool(gained.any()) and float((np.abs(returns - others) < EQUAL_RETURN)[gained].mean()) > MAX_EQUAL_SHARE
 
 
 def check_entries(

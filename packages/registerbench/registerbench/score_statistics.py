@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from registerbench.benchmark_tasks import find_card, list_test_seeds
-from registerbench.entry_checks import EntryCheck, digest_actions
+from registerbench.entry_checks import EntryCheck, select_different_runs
 from registerbench.entry_files import Entry
 from registerbench.shipped_policies import TASK_PLAYERS
 from stage.errors import ArgumentError
@@ -129,7 +129,7 @@ class ScoreRow:
         learned: Whether the player may have learned: it is not shipped, or does other things than the shipped one.
         replayed: Whether a replay has confirmed all of its entries.
         retrained: Whether the training commands that were tried gave their actions again; None if none was tried.
-        copies: Number of entries that were left out because another run has the same actions.
+        copies: Number of entries that were left out because another run does the same.
         note: Reason of a check that failed, in words; "" if none failed.
         normalized: IQM on the scale on which the reference is 0 and the oracle 1; None if the table lacks one of them.
         difference, difference_low, difference_high: IQM minus that of the reference on the same machines, with its interval.
@@ -298,8 +298,8 @@ def _compute_row(checked_runs: list[tuple[Entry, EntryCheck | None]]) -> ScoreRo
         )
 
     entered = len(runs)
-    if checks:  # runs with the same actions are one run
-        runs = list({digest_actions(run): run for run in reversed(runs)}.values())[::-1]
+    if checks:
+        runs = select_different_runs(runs)
     learned, replayed = any(run.cost.get("moves", 0) > 0 for run in runs), True
     retrained: bool | None = True
     if checks:

@@ -10,7 +10,7 @@ import registerbench
 from registerbench import benchmark_tasks, score_statistics
 from registerbench.baselines.oracle import search_split
 from registerbench.benchmark_tasks import Card
-from registerbench.entry_checks import check_entries, digest_actions
+from registerbench.entry_checks import check_entries, digest_actions, is_copy
 from registerbench.entry_files import unpack_entry
 from stage.cli import main
 from stage.envs.few_shot import make_action
@@ -61,6 +61,34 @@ def test_one_run_under_ten_numbers_counts_once(honest):
     row = compute_rows(*copies)["copied"]
     assert (row.runs, row.copies) == (1, 9)
     assert row.doubt == "too few runs: 10 are needed"
+
+
+def test_runs_that_differ_by_a_last_bit_are_copies(honest):
+    """Lower the drive rate by 1 to 9 last bits: ten "different" runs of one policy beat others without doubt."""
+    runs = []
+    for k in range(10):
+        actions = honest.actions.copy()
+        for _ in range(k):
+            actions[:, 1] = np.nextafter(actions[:, 1], np.float32(-1))
+        runs.append(registerbench.play(RecordedPolicy(actions), "brief", name="copied", run=k))
+    assert len({digest_actions(e) for e in runs}) == 10
+    row = compute_rows(*runs)["copied"]
+    assert (row.runs, row.copies) == (1, 9)
+
+
+@pytest.mark.parametrize(
+    ("returns", "others", "success", "copied"),
+    [
+        ([1.0, 2.0, 3.0, -0.05], [1.0, 2.0, 3.0, -0.06], [1, 1, 1, 0], True),
+        ([1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.1, 4.1], [1, 1, 1, 1], False),
+        ([1.0, 2.0, -0.05, -0.05], [1.1, 2.0, -0.05, -0.05], [1, 1, 0, 0], False),
+        ([1.0, 0.0, 0.0, 0.0], [1.1, 0.0, 0.0, 0.0], [1, 1, 1, 1], False),
+    ],
+)
+def test_equal_returns_of_failures_make_no_copies(honest, returns, others, success, copied):
+    scores = [{"return": np.array(values), "success": np.array(success, float)} for values in (returns, others)]
+    e = dataclasses.replace(honest, scores=scores[0])
+    assert is_copy(e, dataclasses.replace(honest, actions=honest.actions * np.float32(0.9), scores=scores[1])) == copied
 
 
 def test_what_is_no_shipped_player_has_learned_whatever_it_states(honest):
