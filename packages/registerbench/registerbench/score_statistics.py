@@ -369,5 +369,6 @@ def format_rows(rows: Sequence[ScoreRow], long: bool = False) -> str:
 
 
 def _format_row(cells: Iterable[str]) -> str:
-    """Format a row of a Markdown table."""
-    return f"| {' | '.join(cells)} |"
+    """Format a row of a Markdown table. The name of a player makes no cells or tags."""
+    escaped = [cell.replace("|", "\\|").replace("<", "\\<") for cell in cells]
+    return f"| {' | '.join(escaped)} |"

@@ -1,6 +1,7 @@
 """Cheats in tables of entries that no longer pay, and the comparisons that a table makes."""
 
 import dataclasses
+import re
 import sys
 
 import numpy as np
@@ -89,6 +90,14 @@ def test_equal_returns_of_failures_make_no_copies(honest, returns, others, succe
     scores = [{"return": np.array(values), "success": np.array(success, float)} for values in (returns, others)]
     e = dataclasses.replace(honest, scores=scores[0])
     assert is_copy(e, dataclasses.replace(honest, actions=honest.actions * np.float32(0.9), scores=scores[1])) == copied
+
+
+def test_the_name_of_a_player_makes_no_cells_of_a_table(honest):
+    """Name a player "mine | 10 x 64 | 9.999 | ... |<!--": the reader saw these cells, and not those of the row."""
+    table = score_statistics.format_rows(list(compute_rows(claim(honest, "mine | 9 |<!--")).values()))
+    head, _, row = table.splitlines()[2:5]
+    assert "mine \\| 9 \\|\\<!--" in row
+    assert len(re.findall(r"(?<!\\)\|", row)) == len(re.findall(r"(?<!\\)\|", head))
 
 
 def test_what_is_no_shipped_player_has_learned_whatever_it_states(honest):
