@@ -11,7 +11,7 @@ from typing import Any
 
 from registerbench.arena.game_session import CallAfterGameEnd, GameSession, Limits
 from registerbench.arena.games import Game, Suite
-from registerbench.arena.suite_results import FAILED, GameResult, RunHeader, SuiteResult, make_result
+from registerbench.arena.suite_results import GameResult, RunHeader, SuiteResult, make_result
 from registerbench.arena.transcript_replay import replay_game
 from stage.errors import ArgumentError, StageError
 
@@ -127,20 +127,3 @@ def _run_in_thread(player: GamePlayer, session: GameSession) -> None:
             return
     if raised:
         raise raised[0]
-
-
-class GuardedPlayer:
-    """Wrapper of a user's player whose errors end the game instead of the run."""
-
-    def __init__(self, player: GamePlayer):
-        self._player, self.name = player, get_player_name(player)
-
-    def __call__(self, session: GameSession) -> None:
-        try:
-            returned = self._player(session)
-            if inspect.iscoroutine(returned):
-                asyncio.run(returned)
-        except StageError:
-            raise
-        except Exception as error:
-            session.end_game(f"{FAILED}: {type(error).__name__}: {error}"[:300])

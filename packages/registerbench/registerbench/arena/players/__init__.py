@@ -1,12 +1,11 @@
-"""Players of games: `make_player(name)` makes a shipped player, or imports one as `module:name`."""
+"""Players of games: `make_player(name)` makes a shipped player, or one that plays as `module:name` in a process of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from registerbench.arena.players import diagnosis_technician, formula_and_random, rate_searches, trained_policy
-from registerbench.arena.suite_runner import GamePlayer, GuardedPlayer
-from registerbench.policies import import_attribute
+from registerbench.arena.suite_runner import GamePlayer
 from stage.errors import ArgumentError, unknown_name_error
 
 SHIPPED_PLAYERS: dict[str, Callable[[], GamePlayer]] = {
@@ -28,7 +27,6 @@ def make_game_player(name: str) -> GamePlayer:
         raise ArgumentError(
             f"{unknown_name_error('player', name, SHIPPED_PLAYERS)} Or give module:function, which takes a GameSession."
         )
-    player_ = import_attribute(name, "player")
-    if not callable(player_):
-        raise ArgumentError(f"player {name}: it is not a function of a GameSession.")
-    return GuardedPlayer(player_() if isinstance(player_, type) else player_)
+    from registerbench.arena.players.external_command import FunctionPlayer
+
+    return FunctionPlayer(name)

@@ -1,9 +1,9 @@
 """A player that is a command: a process in any language that reads and writes lines of JSON. Each game starts a new process.
 
-it reads    {"task": "...", "tools": [{"name", "description", "parameters"}, ...]}
+it reads    {"task": "...", "name": "...", "tools": [{"name", "description", "parameters"}, ...]}
 it writes   {"call": "act", "arguments": {...}}                 one call a line; "tokens": N may stand beside it
 it reads    {"ok": true, "answer": {...}, "over": false}
-it writes   {"done": true, "tokens": N}, or ends
+it writes   {"done": true, "tokens": N}, or ends; {"failed": WHY} ends the game, and {"stopped": WHY} the whole run
 
 docs/agents.md shows a player of ten lines.
 """
@@ -17,6 +17,7 @@ import queue
 import shlex
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -29,6 +30,7 @@ from stage.support.foreign_files import DocumentError, parse_json
 MAX_LINE_LENGTH = 1 << 20  # characters of a line
 MAX_INVALID_LINES = 20  # lines that are no calls, after which the game is ended
 EXIT_TIMEOUT_S = 2.0  # s in which a process that has closed its output ends
+MAX_REASON_LENGTH = 300  # characters of what a player states about its failure
 READ_AHEAD_LINES = 100  # lines that are read before they are answered
 
 
@@ -103,7 +105,7 @@ class CommandPlayer:
                 process.stdin.write(json.dumps(what) + "\n")
                 process.stdin.flush()
 
-        send({"task": session.task, "tools": session.tools})
+        send({"task": session.task, "name": session.name, "tools": session.tools})
         invalid_lines = 0
         while not session.over:
             line = lines.get()
@@ -119,11 +121,38 @@ class CommandPlayer:
                 continue
             if "tokens" in message:
                 session.count_tokens(message["tokens"])
+            if "stopped" in message:
+                raise StageError(str(message["stopped"])[:MAX_REASON_LENGTH])
+            if "failed" in message:
+                session.end_game(f"{FAILED}: {str(message['failed'])[:MAX_REASON_LENGTH]}")
+                return True
             if message.get("done"):
                 return True
             answer = session.call(message["call"], message.get("arguments"))
             send({"ok": answer.ok, "answer": answer.data, "over": session.over})
         return True
+
+
+class FunctionPlayer(CommandPlayer):
+    """Player that is a function of a Python module, in a process of its own for each game.
+
+    In the process of the game, such a function found the broken set-up among the attributes of its session, and knew the causes.
+
+    Args:
+        name: Name of the function, as "module:function".
+
+    Raises:
+        ArgumentError: There is no such function.
+    """
+
+    def __init__(self, name: str):
+        super().__init__([sys.executable, "-m", f"{__package__}.function_worker", name, json.dumps(sys.path)])
+        self.name = name
+        trial = subprocess.run(self.words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+        if trial.stdout:
+            raise ArgumentError(json.loads(trial.stdout)["refused"])
+        if trial.returncode:
+            raise ArgumentError(f"player {name}: {trial.stderr.strip().rpartition(chr(10))[2]}")
 
 
 def _handle_early_exit(session: GameSession, process: Any) -> None:
@@ -167,6 +196,6 @@ def _parse_message(line: str) -> dict[str, Any] | str:
         message = parse_json(line)
     except DocumentError as why:
         return f'a line of JSON is expected, {{"call": NAME, "arguments": {{...}}}}: {why}.'
-    if not isinstance(message, dict) or not ("call" in message or message.get("done")):
+    if not isinstance(message, dict) or not ({"call", "failed", "stopped"} & message.keys() or message.get("done")):
         return 'a line has "call" and "arguments", or "done": true.'
     return message
