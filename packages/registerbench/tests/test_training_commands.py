@@ -37,8 +37,8 @@ def train_es(module, folder):
 
 
 def train_recurrent(module, folder):
-    module.learn("recurrent", 1, 512, folder)
-    module.submit(folder / "recurrent-1.zip", ["train"], [], folder)
+    module.learn("recurrent-ppo", 1, 512, folder)
+    module.submit(folder / "recurrent-ppo-1.zip", ["train"], [], folder)
 
 
 def train_dqn(module, folder):
