@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import textwrap
 from typing import Any
@@ -61,6 +62,11 @@ def add_bench_submit(commands: Any) -> None:
     p.add_argument(
         "--cost", action="append", default=[], metavar="NAME=NUMBER", help="what it took: moves=, processor_s=, tokens="
     )
+    p.add_argument(
+        "--sandbox", default="", metavar="COMMAND",
+        help="starts the process of module:name, which otherwise can read the word of the round in the list of processes; for "
+        "example 'unshare --user --pid --fork --mount-proc'",
+    )  # fmt: skip
     p.add_argument("--episodes", type=int, metavar="N", help="only the first N, for a trial")
     p.add_argument("--force", action="store_true", help="overwrite a file that exists")
 
@@ -167,7 +173,7 @@ def submit_entry(args: argparse.Namespace) -> int:
     entry = registerbench.play(
         args.policy, args.task, args.split, track=args.track, round_=round_, settings=_parse_settings(args.set, card.choices),
         name=args.name, run=args.run_number, notes=args.notes, cost=_parse_costs(args.cost), training=args.training,
-        episodes=args.episodes,
+        sandbox=shlex.split(args.sandbox), episodes=args.episodes,
         report_progress=progress,
     )  # fmt: skip
     progress.erase_line()

@@ -152,6 +152,7 @@ def play(
     notes: str = "",
     cost: Mapping[str, float] | None = None,
     training: str = "",
+    sandbox: Sequence[str] = (),
     episodes: int | None = None,
     report_progress: Callable[[int, int], None] | None = None,
 ) -> Entry:
@@ -169,6 +170,7 @@ def play(
         notes: Text to store in the entry.
         cost: What the player spent (moves, processor_s, tokens); the dict `cost` of a policy is added at the end.
         training: Command that trains the run and writes its entry again, see `Entry.training`.
+        sandbox: Words of a command that starts the process of a policy "module:attribute"; () for none.
         episodes: Number of episodes to play for a trial; None: all.
         report_progress: Called with (episodes played, all episodes).
 
@@ -179,7 +181,7 @@ def play(
     sequence = EpisodeSequence(task, split, track, round_, settings or {}, episodes)
     env, player = sequence.env, None
     try:
-        player = make_player(policy, sequence.card.name, run)
+        player = make_player(policy, sequence.card.name, run, sandbox)
         if track == "tools" and "tokens" not in {**(cost or {}), **player.cost}:
             raise ArgumentError(
                 "the track tools counts tokens: give the cost tokens=N, or give the policy a dict `cost` in which it counts tokens."

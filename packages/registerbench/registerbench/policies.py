@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -65,13 +65,14 @@ class Player(Protocol):
     def end(self) -> None: ...
 
 
-def make_player(policy: str | Policy, task: str, seed: int) -> Player:
+def make_player(policy: str | Policy, task: str, seed: int, sandbox: Sequence[str] = ()) -> Player:
     """Make the player of a policy.
 
     Args:
         policy: Name of the policy, or the policy itself.
         task: Name of the card.
         seed: Seed of shipped players that act at random.
+        sandbox: Words of a command that starts the process of "module:name"; () for none.
 
     Raises:
         ArgumentError: There is no such player.
@@ -88,7 +89,7 @@ def make_player(policy: str | Policy, task: str, seed: int) -> Player:
     if ":" in policy:
         from registerbench.policy_process import ProcessPolicy
 
-        return ProcessPolicy(policy)
+        return ProcessPolicy(policy, sandbox)
     message = unknown_name_error(f"player of {task}", policy, shipped)
     raise ArgumentError(f"{message} Or give module:function, or an .npz of actions.")
 

@@ -14,7 +14,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,17 +32,22 @@ class ProcessPolicy:
 
     Args:
         name: Policy as "module:name".
+        sandbox: Words of a command that starts the process, such as "unshare --user --pid --fork --mount-proc"; () for none.
 
     Raises:
         ArgumentError: There is no such policy.
     """
 
-    def __init__(self, name: str):
+    def __init__(self, name: str, sandbox: Sequence[str] = ()):
         self.name, self.cost = name, dict[str, float]()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "registerbench.policy_worker", name],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8", env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        )  # fmt: skip
+        words = [*sandbox, sys.executable, "-m", "registerbench.policy_worker", name]
+        try:
+            self._process = subprocess.Popen(
+                words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8",
+                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            )  # fmt: skip
+        except OSError as why:
+            raise ArgumentError(f"{words[0]}: {why.strerror}. Name a sandbox that can be run.") from why
         try:
             self._exchange({"path": sys.path})
         except StageError:

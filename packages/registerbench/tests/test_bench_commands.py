@@ -39,7 +39,7 @@ def test_options_that_are_not_set_have_their_defaults(played, capsys):
     assert (code, of, path, force) == (0, ("random", "few-shot", "train"), "a.bench", False)
     assert how == {
         "track": "host", "round_": "open", "settings": {}, "name": None, "run": 0, "notes": "", "cost": {}, "training": "",
-        "episodes": None,
+        "sandbox": [], "episodes": None,
     }  # fmt: skip
     text = capsys.readouterr().out
     assert "return 1.5 (means)" in text, "what is infinite has no mean"
@@ -50,12 +50,13 @@ def test_every_option_reaches_the_setting_that_its_help_describes(played, capsys
     code, (of, how), (path, force) = played(
         "mine:policy", "-o", "b.bench", "--task", "few-shot-wide", "--split", "loose", "--track", "truth", "--round", "2027",
         "--set", "memory=last", "--name", "me", "--run", "4", "--notes", "by hand", "--cost", "moves=3", "--cost", "tokens=1e6",
-        "--training", "python train.py {run} {out}", "--episodes", "5", "--force", episodes=5,
+        "--training", "python train.py {run} {out}", "--sandbox", "box -x", "--episodes", "5", "--force", episodes=5,
     )  # fmt: skip
     assert (code, of, path, force) == (0, ("mine:policy", "few-shot-wide", "loose"), "b.bench", True)
     assert how == {
         "track": "truth", "round_": "2027", "settings": {"memory": "last"}, "name": "me", "run": 4, "notes": "by hand",
-        "cost": {"moves": 3.0, "tokens": 1e6}, "training": "python train.py {run} {out}", "episodes": 5,
+        "cost": {"moves": 3.0, "tokens": 1e6}, "training": "python train.py {run} {out}", "sandbox": ["box", "-x"],
+        "episodes": 5,
     }  # fmt: skip
     assert "part of the 64 test episodes alone: this entry can stand in no table" in capsys.readouterr().out
 

@@ -1,6 +1,7 @@
 """Policies of the command line play in a process of their own, and reach the benchmark over a pipe alone."""
 
 import os
+import subprocess
 import sys
 
 import numpy as np
@@ -28,6 +29,11 @@ class Spy:
         found = [o for o in gc.get_objects() if isinstance(o, Stage) or "Env" in type(o).__name__ and hasattr(o, "stage")]
         print("chatter")
         return np.array([os.getpid(), len(found), self.context.env is None, observation[0]], np.float32)
+
+def reads_parent(observation, info):
+    parent = os.getppid()
+    words = open(f"/proc/{parent}/cmdline").read() if parent else ""
+    return np.array([float(word in words) for word in ("secret-word",)], np.float32)
 
 def fails(observation, info):
     raise KeyError("x")
@@ -97,6 +103,21 @@ def test_a_policy_over_the_pipe_makes_the_same_entry_as_in_process(folder):
 def test_an_error_in_the_process_is_reported(name, kind, message):
     with pytest.raises(kind, match=message):
         registerbench.play(f"pipe_policies:{name}", "one-shot", episodes=1)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc and unshare")
+def test_a_sandbox_keeps_the_word_of_the_round_from_a_policy(folder):
+    """Read the command line of the parent: a policy knew the seeds of a secret round, and searched on the true machines."""
+    sandbox = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount-proc"]
+    if subprocess.run([*sandbox, "true"], check=False).returncode:
+        pytest.skip("no namespaces for users here")
+    code = "import sys, numpy as np; from registerbench.policy_process import ProcessPolicy; p = ProcessPolicy(sys.argv[1], "
+    code += "sys.argv[3:]); print(p.act(np.zeros(1), {})[0]); p.close()"
+    for words, reading in (([], "1.0"), (sandbox, "0.0")):
+        command = [sys.executable, "-c", code, "pipe_policies:reads_parent", "secret-word", *words]
+        assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() == [reading]
+    with pytest.raises(ArgumentError, match="Name a sandbox"):
+        ProcessPolicy("pipe_policies:careful", ["/nowhere/box"])
 
 
 def test_a_drawn_round_follows_from_the_frozen_policy_and_from_chance(folder, capsys):
