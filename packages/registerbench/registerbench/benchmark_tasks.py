@@ -251,6 +251,7 @@ def draw_round(policy: str) -> str:
         policy: "module:name", whose module lies in the current folder or is installed, or the path of a file.
     """
     module = policy.partition(":")[0]
-    paths = [Path(policy), Path(*module.split(".")).with_suffix(".py")]
+    place = Path(*module.split("."))
+    paths = [Path(policy), place.with_suffix(".py"), place / "__init__.py"]
     content = next((path.read_bytes() for path in paths if path.is_file()), policy.encode())
-    return f"{hashlib.blake2b(content, digest_size=4).hexdigest()}-{secrets.token_hex(4)}"
+    return f"{hashlib.blake2b(content, digest_size=16).hexdigest()}-{secrets.token_hex(4)}"

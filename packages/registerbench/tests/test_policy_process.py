@@ -126,6 +126,13 @@ def test_a_drawn_round_follows_from_the_frozen_policy_and_from_chance(folder, ca
     assert first != again, "nobody chooses the word"
     (folder / "pipe_policies.py").write_text(POLICIES + "# changed")
     assert draw_round("pipe_policies:careful").split("-")[0] != first.split("-")[0]
+    assert len(first.split("-")[0]) == 32, "8 digits had another file for them after an hour of tries"
+    (folder / "boxed").mkdir()
+    words = []
+    for text in ("policy = 1", "policy = 2"):
+        (folder / "boxed" / "__init__.py").write_text(text)
+        words.append(draw_round("boxed:policy").split("-")[0])
+    assert words[0] != words[1], "of a package, too"
     submit = ["bench-submit", "pipe_policies:careful", "-o", "a.bench", "--task", "one-shot", "--episodes", "1"]
     assert main([*submit, "--round", "drawn"]) == 0
     entry = registerbench.read_entry("a.bench")
