@@ -130,6 +130,7 @@ class ScoreRow:
         replayed: Whether a replay has confirmed all of its entries.
         retrained: Whether the training commands that were tried gave their actions again; None if none was tried.
         copies: Number of entries that were left out because another run does the same.
+        skipped_runs: Number of runs below the highest number that have no entry.
         note: Reason of a check that failed, in words; "" if none failed.
         normalized: IQM on the scale on which the reference is 0 and the oracle 1; None if the table lacks one of them.
         difference, difference_low, difference_high: IQM minus that of the reference on the same machines, with its interval.
@@ -158,6 +159,7 @@ class ScoreRow:
     replayed: bool = True
     retrained: bool | None = True
     copies: int = 0
+    skipped_runs: int = 0
     note: str = ""
     normalized: float | None = None
     difference: float | None = None
@@ -176,6 +178,8 @@ class ScoreRow:
             return f"not replayed: {self.note}" if self.note and self.note != "not replayed" else "not replayed"
         if self.learned and self.runs < MIN_LEARNER_RUNS:
             return f"too few runs: {MIN_LEARNER_RUNS} are needed"
+        if self.learned and self.skipped_runs:
+            return f"runs are missing: {self.skipped_runs} below the highest number"
         if self.learned and not self.retrained:
             return self.note or "not trained again: see --spot-check"
         return ""
@@ -297,7 +301,7 @@ def _compute_row(checked_runs: list[tuple[Entry, EntryCheck | None]]) -> ScoreRo
             f"{e.player} on {e.task} {e.split}: two entries hold the same run; give each its number by --run of bench-submit."
         )
 
-    entered = len(runs)
+    entered, highest_run = len(runs), max(e.run for e in runs)
     if checks:
         runs = select_different_runs(runs)
     learned, replayed = any(run.cost.get("moves", 0) > 0 for run in runs), True
@@ -328,6 +332,7 @@ def _compute_row(checked_runs: list[tuple[Entry, EntryCheck | None]]) -> ScoreRo
         success=compute_mean("success"), regret=float(np.median(known)) if len(known) else None,
         lost_steps=compute_mean("lost_steps"), limits=compute_mean("limits"), moves=compute_mean("moves"),
         learned=learned, replayed=replayed, retrained=retrained, copies=entered - len(runs),
+        skipped_runs=highest_run + 1 - entered,
         note=next((check.note for check in checks if check.note), ""), scores=scores,
     )  # fmt: skip
 

@@ -100,6 +100,23 @@ def test_the_name_of_a_player_makes_no_cells_of_a_table(honest):
     assert len(re.findall(r"(?<!\\)\|", row)) == len(re.findall(r"(?<!\\)\|", head))
 
 
+def test_the_best_ten_runs_of_many_beat_nobody(honest):
+    """Train 24 runs and enter the best ten: all figures of the row were those of luck."""
+    runs = [
+        registerbench.play(
+            lambda o, i, k=k: make_action(1000, 20_000 + 100 * k, 0.08, 0.08), "brief", name="lucky", run=k
+        )
+        for k in range(11)
+    ]
+    row = compute_rows(*runs[:4], *runs[5:])["lucky"]
+    assert row.skipped_runs == 1
+    assert row.doubt == "runs are missing: 1 below the highest number"
+    assert compute_rows(*runs)["lucky"].doubt == "not trained again: see --spot-check"
+    assert compute_rows(claim(honest, "random", run=7, cost={}))["random (not confirmed)"].doubt.startswith(
+        "too few runs"
+    )
+
+
 def test_what_is_no_shipped_player_has_learned_whatever_it_states(honest):
     """A learner that stated no moves beat others with a single run."""
     formula = registerbench.play("formula", "one-shot", episodes=4)
