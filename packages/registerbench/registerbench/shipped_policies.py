@@ -41,7 +41,7 @@ class ScriptedPolicy:
 
 
 class FixedSpeedFactorPolicy:
-    """Policy of few-shot with one speed factor for all attempts: the usual speeds times it, the usual ramps divided by it."""
+    """Policy with one speed factor for all machines and attempts: the usual speeds times it, the usual ramps divided by it."""
 
     def __init__(self, speed_factor: float):
         self.speed_factor = speed_factor
@@ -146,7 +146,11 @@ FORMULA: dict[str, Callable[[int], Policy]] = {"formula": lambda seed: ScriptedP
 """Shipped player of tasks whose scripted host follows the engineer's formula."""
 
 TASK_PLAYERS: dict[str, dict[str, Callable[[int], Policy]]] = {
-    "one-shot": FORMULA,
+    "one-shot": FORMULA
+    | {
+        "usual": lambda seed: FixedSpeedFactorPolicy(1.0),
+        "fixed": lambda seed: FixedSpeedFactorPolicy(2.6),
+    },
     "few-shot": FORMULA
     | {
         "usual": lambda seed: FixedSpeedFactorPolicy(1.0),
