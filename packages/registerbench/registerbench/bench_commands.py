@@ -108,6 +108,11 @@ def add_bench_table(commands: Any) -> None:
         help="RUN the training commands of N runs of each learner, drawn at random, and compare actions; they are programs of the "
         "entries' authors (default: 0)",
     )  # fmt: skip
+    p.add_argument(
+        "--new-round",
+        action="store_true",
+        help="run these commands once more, on a round whose word is drawn now: stored actions do not fit it",
+    )
 
 
 def print_tasks(args: argparse.Namespace) -> int:
@@ -213,7 +218,9 @@ def print_tables(args: argparse.Namespace) -> int:
     entries = [entry for path in args.files for entry in read_entries(path).values()]
     is_shown = sys.stderr.isatty() or args.spot_check > 0
     report = (lambda text: print(f"stage: {text}", file=sys.stderr)) if is_shown else (lambda text: None)
-    checks = entry_checks.check_entries(entries, not args.no_replay, args.spot_check, report)
+    if args.new_round and not args.spot_check:
+        raise ArgumentError("--new-round runs the commands of --spot-check: give --spot-check N, too.")
+    checks = entry_checks.check_entries(entries, not args.no_replay, args.spot_check, report, args.new_round)
     rows = score_statistics.compute_rows(entries, checks)
     add_facts(args, [row.json() for row in rows])
     print(score_statistics.format_rows(rows, args.long))

@@ -9,6 +9,7 @@ from the authors of entries, so none is run unless the caller asks for it.
 from __future__ import annotations
 
 import hashlib
+import secrets
 import shlex
 import subprocess
 import sys
@@ -16,16 +17,17 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from registerbench import entry_creation, entry_files, entry_replay
+from registerbench.benchmark_tasks import find_card, list_test_seeds
 from registerbench.entry_files import Entry
 from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
 from stage.errors import ArgumentError, StageError
 
 TRAINING_TIME_LIMIT_S = 24 * 3600.0
+MAX_STANDARD_ERRORS = 3.0  # by which the mean of a run may be lower in a new round
 EQUAL_RETURN = 1e-3  # returns that differ by less are equal: the last digit of the tables
 MAX_EQUAL_SHARE = (
     0.5  # of the solved episodes; different runs of the learners here have equal returns in up to 0.12 of them
@@ -91,6 +93,7 @@ def check_entries(
     replay: bool = True,
     spot_checks: int = 0,
     report_progress: Callable[[str], None] = lambda text: None,
+    new_round: bool = False,
 ) -> list[EntryCheck]:
     """Check entries of the benchmark by replaying them and comparing them with each other.
 
@@ -99,6 +102,7 @@ def check_entries(
         replay: Whether to replay them; otherwise no entry counts as replayed.
         spot_checks: Number of runs of each player whose training commands are run again, drawn at random.
         report_progress: Called with a sentence before each step that takes long.
+        new_round: Whether these commands are run once more, on a round whose word is drawn now.
 
     Returns:
         A check of each entry, in their order.
@@ -111,7 +115,7 @@ def check_entries(
         drawn_indices = np.random.default_rng().permutation(indices)[:spot_checks]  # nobody can know which
         for k in drawn_indices.tolist():
             report_progress(f"trains {_describe(entries[k])} again: {entries[k].training}")
-            checks[k] = _retrain(entries[k], checks[k])
+            checks[k] = _retrain(entries[k], checks[k], new_round)
     return checks
 
 
@@ -151,24 +155,64 @@ def _group_runs(entries: list[Entry], checks: list[EntryCheck]) -> list[list[int
     return list(groups.values())
 
 
-def _retrain(e: Entry, check: EntryCheck) -> EntryCheck:
-    """Run the training command of an entry, and compare the actions of the entry that it writes."""
+def _retrain(e: Entry, check: EntryCheck, new_round: bool) -> EntryCheck:
+    """Run the training command of an entry, and compare the actions of the entry that it writes.
+
+    Args:
+        e: Entry of a run.
+        check: Check of the entry so far.
+        new_round: Whether to run the command once more on a new round, of which it cannot repeat stored actions.
+    """
     if not e.training:
         return replace(check, retrained=False, note=f"run {e.run} states no training command")
+    try:
+        again = _run_training_command(e, e.round)
+        if again.seeds != e.seeds or digest_actions(again) != digest_actions(e):
+            note = f"the training command of run {e.run} gives other actions"
+        elif new_round:
+            note = _explain_new_round_failure(e, f"new-{secrets.token_hex(8)}")
+        else:
+            note = ""
+    except (OSError, subprocess.SubprocessError, StageError) as why:
+        note = f"the training command of run {e.run} failed: {str(why)[:200]}"
+    return replace(check, retrained=not note, note=note)
+
+
+def _run_training_command(e: Entry, round_: str) -> Entry:
+    """Run the training command of an entry for a round, and return the entry that it writes. Raises errors of the command."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "again.bench"
-        values = {"{run}": str(e.run), "{task}": e.task, "{split}": e.split, "{round}": e.round, "{out}": str(file)}
+        values = {"{run}": str(e.run), "{task}": e.task, "{split}": e.split, "{round}": round_, "{out}": str(file)}
         words = [sys.executable if word == "python" else word for word in shlex.split(e.training)]
         words = [_fill_in(word, values) for word in words]
-        try:
-            subprocess.run(words, check=True, capture_output=True, timeout=TRAINING_TIME_LIMIT_S)
-            again: Any = entry_files.read_entry(file)
-        except (OSError, subprocess.SubprocessError, StageError) as why:
-            return replace(check, retrained=False, note=f"the training command of run {e.run} failed: {str(why)[:200]}")
-    same = again.seeds == e.seeds and digest_actions(again) == digest_actions(e)
-    return replace(
-        check, retrained=same, note="" if same else f"the training command of run {e.run} gives other actions"
-    )
+        subprocess.run(words, check=True, capture_output=True, timeout=TRAINING_TIME_LIMIT_S)
+        return entry_files.read_entry(file)
+
+
+def _explain_new_round_failure(e: Entry, word: str) -> str:
+    """Run the training command of an entry on a new round, and explain why its result is no round of that player; "" if it is.
+
+    Args:
+        e: Entry of a run.
+        word: Word of the new round.
+    """
+    again = _run_training_command(e, word)
+    seeds = list_test_seeds(find_card(e.task), e.split, word)
+    if (again.task, again.split, again.track, again.round, list(again.seeds)) != (
+        e.task,
+        e.split,
+        e.track,
+        word,
+        seeds,
+    ):
+        return f"the training command of run {e.run} does not play a new round"
+    if not entry_replay.verify(again).exact:
+        return f"the training command of run {e.run} writes an entry that differs here"
+    old, new = e.scores["return"], again.scores["return"]
+    error = float(np.sqrt(old.var() / len(old) + new.var() / len(new)))
+    if old.mean() - new.mean() > MAX_STANDARD_ERRORS * error + EQUAL_RETURN:
+        return f"run {e.run} is worse in a new round: {new.mean():.3f} in place of {old.mean():.3f}"
+    return ""
 
 
 def _fill_in(word: str, values: dict[str, str]) -> str:

@@ -194,6 +194,44 @@ def test_a_run_counts_when_its_training_command_gives_its_actions_again(honest, 
     assert compute_rows(*runs)["learner"].doubt == "not trained again: see --spot-check"
 
 
+LEARNER = """
+import sys
+import registerbench
+from registerbench import benchmark_tasks
+from registerbench.benchmark_tasks import Card
+benchmark_tasks.CARDS["brief"] = Card({card})
+from stage.envs.few_shot import make_action
+run, round_, out = sys.argv[1:]
+rate = 20_000 if round_ == "open" else {rate}
+registerbench.play(lambda o, i: make_action(1000, rate, 0.08, 0.08), "brief", name="learner", round_=round_).write(out)
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "note"),
+    [
+        ("cp {folder}/a.bench {{out}}", "does not play a new round"),
+        ("python {folder}/learns.py {{run}} {{round}} {{out}}", ""),
+        ("python {folder}/fits.py {{run}} {{round}} {{out}}", "is worse in a new round"),
+    ],
+)
+def test_a_new_round_separates_learners_from_stored_actions(command, note, tmp_path):
+    """State cp as the training command: it gave all actions again, and ten such runs beat others without doubt."""
+    card = f"'brief', {BRIEF.id!r}, 'a trial', episodes=4, settings={dict(BRIEF.settings)!r}"
+    for name, rate in (("learns", 20_000), ("fits", 3000)):
+        (tmp_path / f"{name}.py").write_text(LEARNER.format(card=card, rate=rate))
+    entry = registerbench.play(
+        lambda o, i: make_action(1000, 20_000, 0.08, 0.08), "brief", name="learner",
+        training=command.format(folder=tmp_path),
+    )  # fmt: skip
+    entry.write(tmp_path / "a.bench")
+    (check,) = check_entries([entry], spot_checks=1)
+    assert check.retrained
+    (check,) = check_entries([entry], spot_checks=1, new_round=True)
+    assert check.retrained == (not note)
+    assert note in check.note
+
+
 def test_a_training_command_travels_in_the_file_and_is_never_run_unasked(honest, tmp_path, capsys):
     mark = tmp_path / "ran"
     entry = dataclasses.replace(honest, training=f"{sys.executable} -c open({str(mark)!r},'w') {{out}}")
@@ -202,6 +240,8 @@ def test_a_training_command_travels_in_the_file_and_is_never_run_unasked(honest,
     entry.write(tmp_path / "a.bench")
     assert main(["bench-table", str(tmp_path / "a.bench")]) == 0
     assert main(["bench-verify", str(tmp_path / "a.bench")]) == 0
+    assert main(["bench-table", str(tmp_path / "a.bench"), "--new-round"]) == 2
+    assert "give --spot-check N, too" in capsys.readouterr().err
     assert not mark.exists()
 
 
