@@ -3,20 +3,24 @@ PYTHON ?= python3
 BIN := .venv/bin
 
 PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/test_fleet.py tests/recording tests/envs tests/test_docs.py
+# What needs a compiler of C, an emulated processor or an AVR toolchain. Plain pytest leaves it out: collect_ignore of tests/conftest.py
+FIRMWARE := tests/board tests/firmware_c tests/targets tests/test_tutorials.py tests/testing/test_host_serial.py tests/testing/test_many.py tests/testing/test_plugin.py
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs wheel notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench headline pictures clean help
+.PHONY: ci demo docs wheel notebooks tutorials packages test test-firmware test-ioc quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench headline pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
-	@echo "make test       the everyday test suite"
+	@echo "make test       the everyday test suite: chips, stage, procedures, environments, recordings, panel, commands"
+	@echo "make test-firmware  the board and programs on it: C and C++ (a compiler), emulated processors (extra targets, simavr), the pytest plugin, tutorials"
+	@echo "make test-ioc   stage ioc with clients of EPICS (extra epics-clients)"
 	@echo "make quick      the tests nearest to what differs from SINCE=origin/main, under 20 seconds"
 	@echo "make packages   install the distributions of packages/ in .venv, editable"
 	@echo "make test-packages  their tests"
 	@echo "make test-slow  the long checks"
 	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
-	@echo "make test-oldest                the everyday suite with the oldest of every dependency, in build/oldest"
+	@echo "make test-oldest                make test and make test-firmware with the oldest of every dependency, in build/oldest"
 	@echo "make test-small                 what rerun has to do with, without it, in build/small"
 	@echo "make test-libraries             what needs libraries for reinforcement learning, with all of them, in build/libraries"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
@@ -53,6 +57,9 @@ demo: .venv/.user
 test: .venv/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
+test-firmware: .venv/.dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(FIRMWARE)
+
 quick: .venv/.dev
 	$(BIN)/python scripts/quick.py $(if $(SINCE),--since $(SINCE))
 
@@ -76,6 +83,7 @@ test-ioc: .venv/.ioc
 
 test-slow: .venv/.packages .venv/.ioc
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow'
+	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' $(FIRMWARE) tests/ioc
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' packages
 	PULSESTAGE_EXAMPLES=1500 $(BIN)/python -m pytest -n 2 tests/chips
 
@@ -89,6 +97,7 @@ test-oldest:
 	build/oldest/bin/python -m pip install -q --upgrade pip
 	build/oldest/bin/python -m pip install -q -e '.[test]' $$($(PYTHON) -c "$$OLDEST")
 	build/oldest/bin/python -m pytest -n 2 --dist worksteal
+	build/oldest/bin/python -m pytest -n 2 --dist worksteal $(FIRMWARE)
 
 define OLDEST
 import re, tomllib
@@ -104,7 +113,7 @@ test-small:
 	$(PYTHON) -m venv build/small
 	build/small/bin/python -m pip install -q --upgrade pip
 	build/small/bin/python -m pip install -q -e '.[build,plot]' pytest pytest-xdist hypothesis mpmath psutil
-	build/small/bin/python -m pytest -n 2 --dist worksteal tests/recording tests/testing tests/test_cli.py tests/test_cli_options.py tests/test_servo_stage.py tests/test_faults.py tests/board/test_command.py
+	build/small/bin/python -m pytest -n 2 --dist worksteal tests/recording $(wildcard tests/testing/test_*.py) tests/test_cli.py tests/test_cli_options.py tests/test_servo_stage.py tests/test_faults.py tests/board/test_command.py
 
 # docs/rl_libraries.md and the learners of packages/registerbench. RLlib takes one version of Gymnasium alone: an environment of their
 # own. CleanRL is in no package: PULSESTAGE_CLEANRL names its script, see the nightly workflow
@@ -173,7 +182,7 @@ lint: .venv/.dev
 	cd build/types && $(CURDIR)/$(BIN)/lint-imports --no-logo --cache-dir=../import_cache ../../pyproject.toml
 	$(BIN)/mypy $(TYPES) packages/registerbench/registerbench
 
-ci: lint test test-packages coverage
+ci: lint test test-firmware test-packages coverage
 
 bench: .venv/.dev
 	$(BIN)/python scripts/benchmark.py --markdown docs/performance.md --picture docs/pictures/performance.png

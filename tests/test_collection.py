@@ -80,6 +80,18 @@ def test_a_test_that_lacks_what_this_machine_must_have_fails_instead_of_being_sk
     assert re.search(r"^1 passed, 1 error", printed, re.M), printed
 
 
+def test_another_target_of_make_and_of_ci_runs_each_test_that_pytest_leaves_out_by_default(pytestconfig):
+    conftest = pytestconfig.pluginmanager.get_plugin(str(ROOT / "tests/conftest.py"))
+    left_out = {f"tests/{name}" for name in conftest.collect_ignore}
+    makefile, ci = (ROOT / "Makefile").read_text(), (ROOT / ".ci/run").read_text()
+    firmware = set(re.search(r"^FIRMWARE := (.*)", makefile, re.M)[1].split())
+    recipes = dict(re.findall(r"^(test-\w+): .*\n\t.* --dist worksteal (.*)", makefile, re.M))
+    assert recipes["test-firmware"] == "$(FIRMWARE)"
+    assert firmware | {recipes["test-ioc"]} == left_out
+    assert {"make test", "make test-firmware", "make test-ioc"} <= set(ci.splitlines())
+    assert all((ROOT / name).exists() for name in left_out)
+
+
 def test_the_dev_extra_has_every_library_that_the_product_can_use():
     """`make test` installs that extra. Learners and browsers are only needed by tests; their skips are listed."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
