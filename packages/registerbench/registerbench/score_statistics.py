@@ -178,7 +178,7 @@ class ScoreRow:
             return f"not replayed: {self.note}" if self.note and self.note != "not replayed" else "not replayed"
         if self.learned and self.runs < MIN_LEARNER_RUNS:
             return f"too few runs: {MIN_LEARNER_RUNS} are needed"
-        if self.learned and self.skipped_runs:
+        if self.skipped_runs:
             return f"runs are missing: {self.skipped_runs} below the highest number"
         if self.learned and not self.retrained:
             return self.note or "not trained again: see --spot-check"
