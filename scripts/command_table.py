@@ -32,7 +32,8 @@ def count_covering_tests(folder: Path) -> Tests:
     """Count the tests of each file that cover a command, by (chip, symbol)."""
     matches: Tests = defaultdict(Counter)
     for path in sorted(folder.rglob("test_*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        for node in ast.walk(ast.parse(text)) if "@covers(" in text else ():
             if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
                 for d in node.decorator_list:
                     if isinstance(d, ast.Call) and isinstance(d.func, ast.Name) and d.func.id == "covers":
