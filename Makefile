@@ -3,8 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 
 PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/test_fleet.py tests/recording tests/envs tests/test_docs.py
-# What needs a compiler of C, an emulated processor or an AVR toolchain. Plain pytest leaves it out: collect_ignore of tests/conftest.py
-FIRMWARE := tests/board tests/firmware_c tests/targets tests/test_tutorials.py tests/testing/test_host_serial.py tests/testing/test_many.py tests/testing/test_plugin.py
+# What needs a compiler of C or of native libraries, an emulated processor or an AVR toolchain. Plain pytest leaves it out: collect_ignore of tests/conftest.py
+FIRMWARE := tests/board tests/firmware_c tests/targets tests/native/test_native_library.py tests/test_tutorials.py tests/testing/test_host_serial.py tests/testing/test_many.py tests/testing/test_plugin.py
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
@@ -13,7 +13,7 @@ TYPES := build/types/stage
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
 	@echo "make test       the everyday test suite: chips, stage, procedures, environments, recordings, panel, commands"
-	@echo "make test-firmware  the board and programs on it: C and C++ (a compiler), emulated processors (extra targets, simavr), the pytest plugin, tutorials"
+	@echo "make test-firmware  the board and programs on it: C and C++ (a compiler), emulated processors (extra targets, simavr), the pytest plugin, tutorials, builds of native libraries"
 	@echo "make test-ioc   stage ioc with clients of EPICS (extra epics-clients)"
 	@echo "make quick      the tests nearest to what differs from SINCE=origin/main, under 20 seconds"
 	@echo "make packages   install the distributions of packages/ in .venv, editable"

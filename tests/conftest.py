@@ -19,7 +19,7 @@ sys.dont_write_bytecode = (
     False  # nor do tests without it: pytest would rewrite the asserts of all of them in each worker, each time
 )
 collect_ignore = [  # by plain `pytest` and `make test`
-    *("board", "firmware_c", "targets", "test_tutorials.py"),  # `make test-firmware`
+    *("board", "firmware_c", "targets", "native/test_native_library.py", "test_tutorials.py"),  # `make test-firmware`
     *("testing/test_host_serial.py", "testing/test_many.py", "testing/test_plugin.py"),
     "ioc",  # `make test-ioc`
 ]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.examples import scaled
 
 from stage import ModelError, Stage, firmware
 from stage.cli import main
@@ -29,7 +30,7 @@ KINDS = st.one_of(
 )
 
 
-@settings(deadline=None)
+@settings(max_examples=scaled(40), deadline=None)
 @given(st.lists(KINDS, min_size=1, max_size=4))
 def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_documented(kinds):
     axes = [NewAxis.parse(f"q{k}:{kind}") for k, kind in enumerate(kinds)]

@@ -105,8 +105,10 @@ def folder(tmp_path, monkeypatch):
     return os.fspath(tmp_path)
 
 
-TAKES_SECONDS = {"stage.firmware.origin_return", "Report"}
-"""Where many of the wrong values are right for some argument, and each of them homes an axis or draws a picture."""
+TAKES_SECONDS = {
+    "stage.firmware.continuous_move", "stage.firmware.home", "stage.firmware.origin_return", "Recording", "Report",
+}  # fmt: skip
+"""Where many of the wrong values are right for some argument, and each of them moves an axis for long or writes files."""
 
 
 def mark_slow_names(names):

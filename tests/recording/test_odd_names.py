@@ -19,12 +19,12 @@ from stage.support.identifier_escapes import escape_name, unescape_name
 
 @pytest.fixture(scope="module")
 def recording():
-    """Axis k of ODD_NAMES moves by 100 (k + 1) pulses, and the host reads a port."""
+    """Axis k of ODD_NAMES moves by 10 (k + 1) pulses, and the host reads a port."""
     stage = Stage(odd_model(), chips=PCL240K, visuals=False)
     board = Board(stage)
     with stage.record() as recording:
         for k, axis in enumerate(stage.axes.values()):
-            firmware.move(axis, 100 * (k + 1) * axis.meters_per_pulse)
+            firmware.move(axis, pulses=10 * (k + 1))
         board.in8(0x300)
     return recording
 
@@ -37,7 +37,7 @@ def test_a_carriage_of_any_name_is_placed():
 
 
 def expected_pulses(name):
-    return 100 * (ODD_NAMES.index(name) + 1)
+    return 10 * (ODD_NAMES.index(name) + 1)
 
 
 @given(st.one_of(st.text(), st.text("_u2 9ü", max_size=12)))
