@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("mcp")
 
+from support.examples import scaled
 from support.from_schema import calls
 from support.mcp_served import Served, over_stdio
 
@@ -321,7 +322,7 @@ def test_the_command_says_what_is_wrong(capsys):
 
 
 @given(data=st.data())
-@settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=scaled(4), deadline=None, suppress_health_check=list(HealthCheck))
 def test_random_calls_never_crash_the_server(served, data):
     drawn = data.draw(st.lists(calls(served.maker.catalog.tools), min_size=20, max_size=20))
 

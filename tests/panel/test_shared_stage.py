@@ -123,7 +123,7 @@ def share(kind, seconds, seed):
 
 @pytest.mark.parametrize("kind", [User, CommandingUser])
 def test_eight_threads_that_read_move_and_stop_at_random_neither_deadlock_nor_starve(kind):
-    users = share(kind, 2.0, SEED)
+    users = share(kind, 0.8, SEED)
     assert all(sum(user.done.values()) > 5 for user in users)
 
 

@@ -48,7 +48,7 @@ def check_actions(trial: PromiseTrial) -> None:
 def _check_stop(axis: BenchAxis, rng: np.random.Generator) -> None:
     """Check that a stop ends a move in its course, and that the axis is at rest when the stop is done."""
     move = begin_move(axis, pulses=LONG_PULSES)
-    end, goal = axis.time + MAX_MOVE_S, axis.chip.net(axis.chip_axis) + int(rng.integers(1, LONG_PULSES // 2))
+    end, goal = axis.time + MAX_MOVE_S, axis.chip.net(axis.chip_axis) + int(rng.integers(1, MAX_PULSES))
     while axis.chip.net(axis.chip_axis) < goal and axis.time < end:
         axis.wait(WAIT_INTERVAL_S)
     _require_moving(axis, True, "in the middle of a move")
