@@ -181,6 +181,16 @@ def test_a_starter_that_was_stopped_ends_with_its_process(monkeypatch):
         os.kill(int(done.stdout), 0)
 
 
+def test_a_starter_ends_with_its_process_which_closes_the_connection():
+    """python -W always program.py once ended with: ResourceWarning: subprocess 4711 is still running"""
+    command = [sys.executable, "-W", "always::ResourceWarning", "-c", PARENT]
+    library = build_firmware("PULSESTAGE_MAIN { return 0; }")
+    done = subprocess.run([*command, str(library)], capture_output=True, text=True, check=True, timeout=60)
+    assert "ResourceWarning" not in done.stderr
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout), 0)
+
+
 def test_a_process_stopped_twice_reports_its_exit_code():
     class Recorded:
         """A starter whose answers are given."""

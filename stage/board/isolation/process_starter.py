@@ -264,10 +264,10 @@ def _find_starter(preload: str, silent: bool = False) -> ProcessStarter:
 
 
 @atexit.register
-def _end_suspended_starters() -> None:
-    """End the starters that a signal has suspended, because they would not notice that this process ends."""
+def _end_starters() -> None:
+    """End the starters of this process. One that a signal has suspended would not notice that this process ends."""
     for (owner, _), starter in _starters.items():
-        if owner == os.getpid() and not starter.is_alive():
+        if owner == os.getpid():
             starter.end()
 
 
