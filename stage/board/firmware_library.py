@@ -278,7 +278,12 @@ _USER_CHOICES = re.compile(r"-I(?=.)|-O|-g(?!nu)|-std=|-w$|-W(?![lpa],)")
 def _select_platform_flags(command: Sequence[str]) -> list[str]:
     """Return a command without what is about the user's sources, so that a platform's source is compiled once for all."""
     package_folder = f"-I{get_include_folder()}"
-    selected = [flag for flag in command if flag.startswith(package_folder) or not _USER_CHOICES.match(flag)]
+    folders = {k + n for k, flag in enumerate(command) if flag == "-iquote" for n in (0, 1)}
+    selected = [
+        flag
+        for k, flag in enumerate(command)
+        if k not in folders and (flag.startswith(package_folder) or not _USER_CHOICES.match(flag))
+    ]
     return [*selected, "-O2", "-g"]
 
 

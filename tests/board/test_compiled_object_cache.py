@@ -40,9 +40,9 @@ def project(tmp_path, monkeypatch):
         source, header, code = folder / "sketch.ino", library / "src" / "part.h", library / "src" / "part.cpp"
         cache = tmp_path / "cache" / "pulsestage" / "objects"
 
-        def build(self, *flags):
+        def build(self, *flags, **options):
             log.write_text("")
-            build(self.source, flags=flags, libraries=[library])
+            build(self.source, flags=flags, **{"libraries": [library]} | options)
             names = ("sketch.ino.cpp", "part.cpp", "entry.cpp")
             return sorted(name for line in log.read_text().splitlines() for name in names if f"{name} " in line)
 
@@ -58,6 +58,17 @@ def test_the_source_of_the_platform_is_compiled_once_for_sketches_of_all_folders
     project.build()
     project.source = shutil.copytree(project.source.parent, project.source.parent.with_name("other")) / "sketch.ino"
     assert project.build() == ["part.cpp", "sketch.ino.cpp"]
+
+
+def test_the_source_of_the_platform_is_compiled_once_for_programs_in_c_whose_loops_are_translated(project, tmp_path):
+    """A translated source is compiled elsewhere, with its folder among the options of the compiler."""
+    compiled = []
+    for name in ("one", "other"):
+        project.source = tmp_path / name / "main.c"
+        project.source.parent.mkdir()
+        project.source.write_text("#include <avr/io.h>\nint main(void) { for (;;); }\n")
+        compiled.append(project.build(platform="avr", libraries=()))
+    assert compiled == [["entry.cpp"], []]
 
 
 def test_a_changed_source_alone_is_compiled_again(project):
