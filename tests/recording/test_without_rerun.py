@@ -56,7 +56,7 @@ def test_only_an_rrd_file_requires_rerun(small, tmp_path):
 
 def test_the_demo_makes_its_moves_and_says_what_a_recording_needs(small, tmp_path):
     """An installation without extras: stage demo"""
-    done = small("from stage.cli import main; sys.exit(main(sys.argv[1:]))", "demo")
+    done = small("from stage.cli import main; sys.exit(main(sys.argv[1:]))", "demo", "--model", "xy")
     assert (done.returncode, done.stderr) == (0, "")
     hint = f"no demo.rrd is written: recordings need rerun. Install it with: {format_install_command('rerun')}.\n"
     assert done.stdout.startswith(hint)
