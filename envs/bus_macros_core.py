@@ -408,9 +408,4 @@ def step_stages(frame, begin, end):
     """
     play_actions(frame, begin, end)
     judge_and_observe(frame, begin, end, 0)
-    status = array_at(frame.status, frame.stages, INTEGER)
-    unfinished = 0
-    for k in range(begin, end):
-        if status[k] != player.PLAYED:
-            unfinished += 1
-    return unfinished
+    return player.count_unfinished_programs(array_at(frame.status, frame.stages, INTEGER), begin, end)

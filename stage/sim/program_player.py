@@ -194,6 +194,22 @@ def play_program(handle, ops, results, extremes):
     return PLAYED
 
 
+@hot
+def count_unfinished_programs(status, begin, end):
+    """Return how many of the stages `begin` to `end` - 1 have not played their program to its end.
+
+    Args:
+        status: Status of `play_program` of each stage, (stages,).
+        begin: First stage.
+        end: Stage after the last one.
+    """
+    unfinished = 0
+    for k in range(begin, end):
+        if status[k] != PLAYED:
+            unfinished += 1
+    return unfinished
+
+
 @exported(None, array_of(HANDLE), "i8", "i8", array_of("i8", 3), array_of("i8", 2), array_of("f8", 3), array_of("i8"))
 def play_programs(handles, begin, end, ops, results, extremes, status):
     """Play program ops[k] on stage k for k from `begin` to `end` - 1.
