@@ -179,6 +179,26 @@ def test_a_callback_that_does_nothing_changes_nothing(xy):
     assert get_state_bits(xy) == get_state_bits(replica)
 
 
+def test_the_step_timers_of_mujoco_stand_still_until_a_user_starts_them(xy, monkeypatch):
+    """They take a tenth of a stage's time, so importing stage stops them; mujoco.set_mjcb_time(None) starts them"""
+    replica = copy.deepcopy(xy)
+    total = mujoco.mjtTimer.mjTIMER_STEP
+    xy.run(0.1)
+    assert xy.data.timer[total].number >= 100
+    assert xy.data.timer[total].duration == 0
+    mujoco.set_mjcb_time(None)
+    monkeypatch.delattr(mujoco_callback_guards, "guard_callbacks")  # the clock of the binding needs no guard
+    try:
+        replica.run(0.1)
+        assert replica.data.timer[total].duration > 0
+    finally:
+        mujoco_callback_guards.stop_step_timers()
+    assert get_state_bits(xy) == get_state_bits(replica)
+    begin = replica.data.timer[total].duration
+    replica.run(0.1)
+    assert replica.data.timer[total].duration == begin
+
+
 MOVED = {
     "place": lambda s, began: s.place(x=0.05),
     "restore": lambda s, began: s.restore(began),

@@ -187,7 +187,8 @@ def would_call_unguarded_callback(clock):
     """Return whether MuJoCo would call a Python callback whose exceptions are not guarded."""
     if not clock.guarded:
         for k in range(engine_records.CALLBACK_COUNT):
-            if array_at(clock.callbacks[k], 1, engine_records.ADDRESS_TYPE)[0] != clock.native[k]:
+            callback = array_at(clock.callbacks[k], 1, engine_records.ADDRESS_TYPE)[0]
+            if callback != 0 and callback != clock.native[k]:
                 return True
     return False
 

@@ -3,6 +3,9 @@
 MuJoCo calls these callbacks in the middle of a step. It cannot pass on an exception and would end the process. A guard therefore
 stores the exception, lets the step complete without further callbacks, and then raises the exception in the caller of the step.
 `forward_guarded` is mj_forward with such a guard.
+
+This module also stops the step timers of MuJoCo (`MjData.timer`), for which its Python binding reads a clock some thirty times a step:
+a tenth of the time of a stage. `mujoco.set_mjcb_time(None)` starts them again.
 """
 
 from __future__ import annotations
@@ -26,11 +29,20 @@ NATIVE_CALLBACKS = [
     0 if callable(getattr(mujoco, f"get_mjcb_{name}")()) else pointer.value or 0
     for name, pointer in zip(CALLBACK_NAMES, _CALLBACK_POINTERS, strict=True)
 ]
-"""Pointers of the callbacks while no Python callback is set: 0, or MuJoCo's own function, as for the time."""
+"""Pointers of the callbacks while no Python callback is set: 0, or the function of MuJoCo's binding that reads a clock."""
 
 _lock = threading.Lock()
 _installed: dict[str, tuple[Any, Any]] = {}  # name -> what the user set, and the guard in its place
 _guards: dict[int, Callable[[BaseException | None], bool]] = {}  # by thread
+
+
+def stop_step_timers() -> None:
+    """Take away the clock of MuJoCo's step timers, unless a user has set a clock in Python."""
+    if not callable(mujoco.get_mjcb_time()):
+        _CALLBACK_POINTERS[CALLBACK_NAMES.index("time")].value = None
+
+
+stop_step_timers()
 
 
 @contextmanager
