@@ -69,8 +69,8 @@ from stage.support import portable_math
 ACTION_RANGES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
 LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses: largest distance; smallest and largest distance
 USUAL_RETURN = {"search": 8000.0, "ramp": 0.1, "approach": 400.0, "leave": 0, "back_off": 200}
-SCRIPTED_RETURN = {"search": 9000.0, "ramp": 0.1, "approach": 1000.0, "back_off": 100}
-LEAVE_MARGIN = 300  # pulses beyond ORG from which a search finds it again
+SCRIPTED_RETURN: dict[str, Any] = {"search": 9000.0, "ramp": 0.1, "approach": 1000.0, "back_off": 64}
+LEAVE_MARGIN = 500  # pulses beyond ORG from which a search finds it again
 START_RATE_SHARE = 0.125  # start rate, as a share of the rate of the search
 MAX_ERROR_PULSES = 64.0  # an electrical period of a motor with 1/16 microsteps
 START_LIMIT_CLEARANCE_M = 1e-3  # smallest distance between the start of a return and an end limit
@@ -392,36 +392,18 @@ class DriftingHome(MachineTask[Config]):
     def scripted_action(self) -> np.ndarray:
         """Return the actions of a scripted host, which makes its origin returns at brisk rates.
 
-        The host leaves ORG by as far as it has moved beyond the last origin, searches at the rates of SCRIPTED_RETURN, at half of
-        them after a failed return, and reports a fault after a return that ran to the end limit, or after two that failed
-        in a row.
+        The host leaves ORG by as far as it has moved beyond the last origin and LEAVE_MARGIN more, searches at the rates of
+        SCRIPTED_RETURN, and reports a fault after a return that failed.
         """
         on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.find_switch_input("org") != 0
-        failed = np.rint(self.last[:, -1] * self.config.returns)
         beyond = np.where(np.isnan(self.last_end), self.config.reach, np.maximum(-self.away, 0.0)) / self.per_pulse
-        rows = zip(on_org.tolist(), beyond.tolist(), failed.tolist(), self.last[:, 2].tolist(), strict=True)
-        return np.stack([self._choose_scripted_action(*row) for row in rows])
-
-    @staticmethod
-    def _choose_scripted_action(on_org: bool, beyond: float, failures: float, end_limit: float) -> np.ndarray:
-        """Choose the action of the scripted host on one stage.
-
-        Args:
-            on_org: Whether ORG is asserted.
-            beyond: Distance by which the carriage may stand beyond ORG, pulses.
-            failures: Number of failed returns in a row.
-            end_limit: 1 if the last return ran to an end limit.
-        """
-        leave = min(round(beyond) + LEAVE_MARGIN, LEAVE) if on_org else 0
-        slower = 2 if failures else 1
-        report = failures >= 2 or (failures >= 1 and end_limit > 0)
-        return make_action(
-            SCRIPTED_RETURN["search"] / slower,
-            SCRIPTED_RETURN["ramp"],
-            SCRIPTED_RETURN["approach"] / slower,
-            leave,
-            int(SCRIPTED_RETURN["back_off"]),
-            report,
+        leave = np.where(on_org, np.minimum(np.rint(beyond) + LEAVE_MARGIN, LEAVE), 0).astype(int)
+        has_failed = self.last[:, -1] > 0
+        return np.stack(
+            [
+                make_action(**SCRIPTED_RETURN, leave=pulses, report=failed)
+                for pulses, failed in zip(leave.tolist(), has_failed.tolist(), strict=True)
+            ]
         )
 
 

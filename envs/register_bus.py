@@ -74,7 +74,8 @@ from stage.support import portable_math
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k waits for waits[k]
 GOALS = ("position", "home")
 DEFAULT_DISTANCES_PULSES = (400, 8000)  # default range of the targets' distances, pulses
-SCRIPTED_WAIT_S = 1e-2  # longest wait of the scripted host
+SCRIPTED_RATES = 2000, 24_000, 0.06  # start rate and drive rate, pps, and duration of a ramp, s, of the scripted host
+SCRIPTED_WAIT_S = 1e-3  # longest wait of the scripted host
 RANGES = ("payloads", "frictions", "supplies", "currents", "losses", "inductances", "drifts", "faults")
 """Settings of a split that an explicit value replaces."""
 MAX_DISTANCE_SHARE = 0.9  # largest default distance of a target, as a share of the distance to the nearest end limit
@@ -391,7 +392,7 @@ class RegisterBus(HiddenMachineTask[Config], CompiledTask[Config]):
             super().apply_machine(stage_index)
 
     def scripted_action(self) -> np.ndarray:
-        """Return the next actions of a host that writes and starts one usual move of each axis, and then waits."""
+        """Return the next actions of a host that writes and starts one move of each axis at SCRIPTED_RATES, and then waits."""
         if self.config.goal == "home" or any(axis.drive.has_encoder for axis in self.axes):
             raise ArgumentError("the scripted host of RegisterBus makes moves of steppers with the goal 'position'.")
         return np.stack([self._choose_scripted_action(k) for k in range(self.n)])
@@ -406,7 +407,7 @@ class RegisterBus(HiddenMachineTask[Config], CompiledTask[Config]):
 
     def _make_script(self, targets: Sequence[int]) -> np.ndarray:
         """Make the actions that write and start the moves to some targets, (actions, 4); the last one, a wait, is repeated."""
-        start, drive, ramp = RATES["usual"]
+        start, drive, ramp = SCRIPTED_RATES
         host = program.Program()
         for axis, pulses in zip(self.axes, targets, strict=True):
             driver = get_driver(axis)

@@ -180,7 +180,7 @@ def test_a_callback_that_does_nothing_changes_nothing(xy):
 
 
 def test_the_step_timers_of_mujoco_stand_still_until_a_user_starts_them(xy, monkeypatch):
-    """They take a tenth of a stage's time, so importing stage stops them; mujoco.set_mjcb_time(None) starts them"""
+    """mjData.timer: a tenth of a stage's time"""
     replica = copy.deepcopy(xy)
     total = mujoco.mjtTimer.mjTIMER_STEP
     xy.run(0.1)

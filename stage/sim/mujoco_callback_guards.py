@@ -4,8 +4,8 @@ MuJoCo calls these callbacks in the middle of a step. It cannot pass on an excep
 stores the exception, lets the step complete without further callbacks, and then raises the exception in the caller of the step.
 `forward_guarded` is mj_forward with such a guard.
 
-This module also stops the step timers of MuJoCo (`MjData.timer`), for which its Python binding reads a clock some thirty times a step:
-a tenth of the time of a stage. `mujoco.set_mjcb_time(None)` starts them again.
+This module also stops the step timers of MuJoCo (`MjData.timer`), for which its Python binding reads a clock some thirty times a
+step: a tenth of the time of a stage. `mujoco.set_mjcb_time(None)` starts them again.
 """
 
 from __future__ import annotations

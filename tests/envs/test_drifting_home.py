@@ -73,9 +73,9 @@ def test_the_scripted_host_leaves_org_by_its_distance_beyond_it():
         leaves.append(9600 * ((action[3] + 1) / 2) ** 3)
         assert env.step(action)[4]["home"]
     unknown, distant, near = leaves
-    assert unknown == pytest.approx(0.02 / env._task.per_pulse + 300, rel=0.01)
-    assert distant == pytest.approx(0.010 / env._task.per_pulse + 300, rel=0.02)
-    assert near == pytest.approx(0.002 / env._task.per_pulse + 300, rel=0.05)
+    assert unknown == pytest.approx(0.02 / env._task.per_pulse + 500, rel=0.01)
+    assert distant == pytest.approx(0.010 / env._task.per_pulse + 500, rel=0.02)
+    assert near == pytest.approx(0.002 / env._task.per_pulse + 500, rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,6 +48,20 @@ class FixedSpeedFactorPolicy:
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         return compute_scaled_action(self.speed_factor)
+
+
+class FixedMovesPolicy:
+    """Policy of few-shot with the same moves on every machine, one for each attempt: it never looks at what they did."""
+
+    def __init__(self, actions: Sequence[np.ndarray]):
+        self.actions = actions
+
+    def reset(self, policy_context: PolicyContext) -> None:
+        self.attempts = 0
+
+    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
+        self.attempts += 1
+        return self.actions[min(self.attempts, len(self.actions)) - 1]
 
 
 class LastAttemptSearch:
@@ -140,6 +154,12 @@ def compute_scaled_action(speed_factor: float) -> np.ndarray:
     )
 
 
+FIXED_MOVES = (
+    *(compute_scaled_action(speed_factor) for speed_factor in (1.5, 2.2, 2.6, 3.0, 3.6)),
+    *(few_shot.make_action(1000, rate, ramp, ramp) for rate, ramp in ((30_000, 0.05), (40_000, 0.25), (60_000, 0.3))),
+)
+"""Actions of the player `fixed` of few-shot, one for each attempt."""
+
 COMMON_PLAYERS: dict[str, Callable[[int], Policy]] = {"random": RandomPolicy, "scripted": lambda seed: ScriptedPolicy()}
 """Shipped players of every task: functions that make one from a seed."""
 FORMULA: dict[str, Callable[[int], Policy]] = {"formula": lambda seed: ScriptedPolicy()}
@@ -154,7 +174,7 @@ TASK_PLAYERS: dict[str, dict[str, Callable[[int], Policy]]] = {
     "few-shot": FORMULA
     | {
         "usual": lambda seed: FixedSpeedFactorPolicy(1.0),
-        "fixed": lambda seed: FixedSpeedFactorPolicy(3.4),
+        "fixed": lambda seed: FixedMovesPolicy(FIXED_MOVES),
         "search": lambda seed: LowestCostSearch(),
     },
     "few-shot-wide": FORMULA

@@ -21,7 +21,7 @@ import stage.envs
 from registerbench import entry_files, score_statistics
 from registerbench.benchmark_tasks import CARDS, Card, list_test_seeds
 from registerbench.entry_files import EntryError, unpack_entry
-from registerbench.shipped_policies import LastAttemptSearch, LowestCostSearch, RandomPolicy
+from registerbench.shipped_policies import TASK_PLAYERS, LastAttemptSearch, LowestCostSearch, RandomPolicy
 from stage import ArgumentError
 from stage.cli import main
 from stage.envs import machine_contexts
@@ -410,13 +410,11 @@ def test_shipped_players_use_the_boldness_that_their_task_requires_by_default():
     from stage.envs.few_shot import make_action
 
     bold = {
-        (task, name): make_player(name, task, 0).act(None, {})
-        for task in ("few-shot", "few-shot-wide")
-        for name in ("usual", "fixed")
+        task: make_player(name, task, 0).act(None, {})
+        for task, name in (("few-shot", "usual"), ("few-shot-wide", "fixed"))
     }
-    assert bold["few-shot", "usual"].tolist() == make_action(1000, 16_000, 0.15, 0.15).tolist()
-    assert bold["few-shot", "fixed"].tolist() == make_action(1500, 54_400, 0.15 / 3.4, 0.15 / 3.4).tolist()
-    assert bold["few-shot-wide", "fixed"].tolist() == make_action(1500, 41_600, 0.15 / 2.6, 0.15 / 2.6).tolist()
+    assert bold["few-shot"].tolist() == make_action(1000, 16_000, 0.15, 0.15).tolist()
+    assert bold["few-shot-wide"].tolist() == make_action(1500, 41_600, 0.15 / 2.6, 0.15 / 2.6).tolist()
     assert compute_scaled_action(1.2).tolist() == make_action(1200, 19_200, 0.125, 0.125).tolist()
 
 
@@ -425,6 +423,15 @@ def test_a_random_player_keeps_to_the_actions_that_are_allowed():
     player.reset(SimpleNamespace(action_space=gymnasium.spaces.Discrete(5)))
     assert {int(player(None, {"action_mask": [0, 0, 1, 0, 1]})) for _ in range(40)} == {2, 4}
     assert {int(player(None, {})) for _ in range(60)} == set(range(5))
+
+
+def test_the_fixed_moves_of_few_shot_are_the_same_whatever_they_did():
+    player, episodes = TASK_PLAYERS["few-shot"]["fixed"](0), []
+    for observed in (-1.0, 1.0):
+        player.reset(SimpleNamespace(feature_names=("kept",)))
+        episodes.append([player(np.array([observed]), {}).tolist() for _ in range(8)])
+    assert episodes[0] == episodes[1]
+    assert len({tuple(action) for action in episodes[0]}) == 8
 
 
 def play_search(player, holds, swing=lambda speed_factor: 0.0):
