@@ -55,13 +55,13 @@ def test_one_command_makes_the_table_from_nothing_and_continues_after_an_interru
 
 def test_the_full_plan_fits_into_two_hours_on_two_processors():
     jobs = headline_table.list_jobs(FULL_PLAN)
-    assert headline_table.select_jobs(jobs, TWO_HOURS, 2, 1) == (jobs, [])
+    assert headline_table.select_jobs(jobs, [], TWO_HOURS, 2, 1) == (jobs, [])
     assert {job.run for job in jobs if job.player == "recurrent-ppo"} == set(range(10))
 
 
 def test_a_shorter_time_leaves_out_the_last_runs_of_the_learners_and_says_so(tmp_path, capsys):
     jobs = headline_table.list_jobs(FULL_PLAN)
-    selected, left_out = headline_table.select_jobs(jobs, 60, 2, 1)
+    selected, left_out = headline_table.select_jobs(jobs, [], 60, 2, 1)
     assert selected + left_out == jobs
     assert {job.player for job in selected} >= {"formula", "scripted", "oracle"}
     assert max(job.run for job in selected) <= min(job.run for job in left_out)
@@ -70,6 +70,17 @@ def test_a_shorter_time_leaves_out_the_last_runs_of_the_learners_and_says_so(tmp
     run_quick(tmp_path / "none", "--plan", "--minutes", "0")
     assert capsys.readouterr().out.startswith(f"0 jobs (0 more are done, {4 if HAS_CMAES else 3} left out)")
     assert not (tmp_path / "none").exists(), "a plan runs nothing"
+
+
+def test_the_budget_counts_the_check_of_entries_that_were_written_before():
+    jobs = headline_table.list_jobs(FULL_PLAN)
+    done, todo = jobs[:-1], jobs[-1:]
+    minutes = headline_table.estimate_check_seconds(jobs, 1) * headline_table.OVERHEAD / 2 / 60
+    assert headline_table.select_jobs(todo, done, minutes, 2, 1) == ([], todo)
+    assert headline_table.select_jobs(todo, [], minutes, 2, 1) == (todo, [])
+    budget = headline_table.format_budget([], jobs, 0, 2, 1)
+    assert f"0 jobs ({len(jobs)} more are done, 0 left out)" in budget
+    assert f", {minutes:.1f} minutes with 2 processes" in budget
 
 
 def test_the_first_job_of_each_split_is_its_reference():

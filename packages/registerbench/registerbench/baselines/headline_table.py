@@ -214,11 +214,14 @@ def estimate_check_seconds(jobs: Iterable[Job], spot_checks: int) -> float:
     )
 
 
-def select_jobs(jobs: Sequence[Job], minutes: float, processes: int, spot_checks: int) -> tuple[list[Job], list[Job]]:
-    """Select the jobs that fit into a time, in their order.
+def select_jobs(
+    jobs: Sequence[Job], done: Sequence[Job], minutes: float, processes: int, spot_checks: int
+) -> tuple[list[Job], list[Job]]:
+    """Select the jobs that fit into a time with the check of all entries, in their order.
 
     Args:
         jobs: Jobs that are not done yet.
+        done: Jobs that are done, whose entries are checked as well.
         minutes: Time in minutes.
         processes: Number of processes.
         spot_checks: Number of runs of each learner that are trained again.
@@ -228,7 +231,8 @@ def select_jobs(jobs: Sequence[Job], minutes: float, processes: int, spot_checks
     """
     selected: list[Job] = []
     for k, job in enumerate(jobs):
-        seconds = sum(x.seconds for x in (*selected, job)) + estimate_check_seconds((*selected, job), spot_checks)
+        check_seconds = estimate_check_seconds((*done, *selected, job), spot_checks)
+        seconds = sum(x.seconds for x in (*selected, job)) + check_seconds
         if seconds * OVERHEAD / processes > minutes * 60:
             return selected, list(jobs[k:])
         selected.append(job)
@@ -323,19 +327,19 @@ def find_missing_libraries(plan: Plan) -> list[str]:
     return [name for name in sorted({x.library for x in plan.learners}) if importlib.util.find_spec(name) is None]
 
 
-def format_budget(jobs: Sequence[Job], done: int, left_out: int, processes: int, spot_checks: int) -> str:
+def format_budget(jobs: Sequence[Job], done: Sequence[Job], left_out: int, processes: int, spot_checks: int) -> str:
     """Format the sentence that states the budget before the first job.
 
     Args:
         jobs: Jobs that are going to run.
-        done: Number of jobs that were finished before.
+        done: Jobs that were finished before, whose entries are checked as well.
         left_out: Number of jobs that are left out.
         processes: Number of processes.
         spot_checks: Number of runs of each learner that are trained again.
     """
-    seconds = (sum(job.seconds for job in jobs) + estimate_check_seconds(jobs, spot_checks)) * OVERHEAD
+    seconds = (sum(job.seconds for job in jobs) + estimate_check_seconds((*done, *jobs), spot_checks)) * OVERHEAD
     return (
-        f"{len(jobs)} jobs ({done} more are done, {left_out} left out) and the check of their entries: "
+        f"{len(jobs)} jobs ({len(done)} more are done, {left_out} left out) and the check of their entries: "
         f"{seconds / 60:.1f} minutes of a processor, {seconds / 60 / processes:.1f} minutes with {processes} processes "
         "if they have the machine to themselves"
     )
@@ -348,10 +352,11 @@ def make_tables(args: argparse.Namespace) -> None:
     plan = replace(plan, learners=tuple(x for x in plan.learners if x.library not in missing))
     jobs = list_jobs(plan)
     todo = [job for job in jobs if job.list_missing_splits(folder)]
+    done = [job for job in jobs if job not in todo]
     selected, left_out = todo, list[Job]()
     if args.minutes is not None:
-        selected, left_out = select_jobs(todo, args.minutes, args.processes, args.spot_check)
-    print(format_budget(selected, len(jobs) - len(todo), len(left_out), args.processes, args.spot_check), flush=True)
+        selected, left_out = select_jobs(todo, done, args.minutes, args.processes, args.spot_check)
+    print(format_budget(selected, done, len(left_out), args.processes, args.spot_check), flush=True)
     if args.plan:
         for job in selected:
             print(f"{job.seconds:6.0f} s  {job.name}")
