@@ -19,7 +19,7 @@ import numpy as np
 from registerbench.benchmark_tasks import find_card, list_test_seeds
 from registerbench.entry_checks import EntryCheck, select_different_runs
 from registerbench.entry_files import Entry
-from registerbench.shipped_policies import TASK_PLAYERS
+from registerbench.shipped_policies import REFERENCES
 from stage.errors import ArgumentError
 
 BOOTSTRAP_SAMPLES, CONFIDENCE_LEVEL = 2000, 0.95
@@ -100,8 +100,8 @@ def compute_difference(
 
 
 def get_reference(task: str) -> str:
-    """Return the name of the shipped player to which others of a task are compared: the strongest one that does not learn."""
-    return next((name for name in ("search", "formula") if name in TASK_PLAYERS.get(task, {})), "scripted")
+    """Return the name of the shipped player to which others of a task are compared."""
+    return REFERENCES.get(task, "scripted")
 
 
 @lru_cache(maxsize=8)  # a table has few shapes

@@ -187,3 +187,12 @@ TASK_PLAYERS: dict[str, dict[str, Callable[[int], Policy]]] = {
     "line-3": FORMULA,
 }
 """Shipped players of particular tasks, by the name of the card."""
+
+REFERENCES = {
+    "one-shot": "fixed",
+    "few-shot": "fixed",
+    "few-shot-wide": "search",
+    "line": "formula",
+    "line-3": "formula",
+}
+"""Player to which others are compared, by the name of the card: the strongest that does not learn. `scripted` for other cards."""

@@ -108,7 +108,7 @@ class Plan:
 
 FULL_PLAN = Plan(
     splits={"few-shot": ("weak", "mast", "faults"), "home": ("train", "faults")},
-    players={"few-shot": ("search", "formula", "random", "fixed"), "home": ("scripted", "random")},
+    players={"few-shot": ("fixed", "search", "formula", "random"), "home": ("scripted", "random")},
     oracle_tries={"few-shot": 96, "home": 48},
     oracle_seconds={"few-shot": 230.0, "home": 450.0},
     learners=(
@@ -123,7 +123,7 @@ FULL_PLAN = Plan(
 
 QUICK_PLAN = Plan(
     splits={"one-shot": ("weak",)},
-    players={"one-shot": ("formula", "random")},
+    players={"one-shot": ("fixed", "formula", "random")},
     oracle_tries={"one-shot": oracle.PARALLEL_ENVS},
     oracle_seconds={"one-shot": 30.0},
     learners=(Learner("one-shot", "es", "cmaes", 5.0, {"generations": 1}, runs=1),),
