@@ -22,7 +22,7 @@ def recording():
     """Axis k of ODD_NAMES moves by 10 (k + 1) pulses, and the host reads a port."""
     stage = Stage(odd_model(), chips=PCL240K, visuals=False)
     board = Board(stage)
-    with stage.record(every=0.01) as recording:
+    with stage.record() as recording:
         for k, axis in enumerate(stage.axes.values()):
             firmware.move(axis, pulses=10 * (k + 1))
         board.in8(0x300)
