@@ -348,11 +348,15 @@ def format_tables(entries: Iterable[Entry], long: bool = False) -> str:
 
 
 def format_rows(rows: Sequence[ScoreRow], long: bool = False) -> str:
-    """Format rows as tables, see `format_tables`. A table of the track host shows the oracle, too."""
+    """Format rows as tables, see `format_tables`. A table of the track host shows the oracle, which then has no other table."""
     lines: list[str] = []
-    for key in dict.fromkeys(r.table_key for r in rows):
+    keys = dict.fromkeys(r.table_key for r in rows)
+    for key in keys:
         task, split, track, round_ = key
         group = [r for r in rows if r.table_key == key]
+        has_host_table = track == ORACLE_TRACK and (task, split, "host", round_) in keys
+        if has_host_table and all(r.player == ORACLE and r.replayed for r in group):
+            continue
         oracle = (task, split, ORACLE_TRACK, round_)
         extra = [r for r in rows if track == "host" and r.table_key == oracle and r.player == ORACLE and r.replayed]
         heads = [
