@@ -15,6 +15,8 @@ if sys.platform == "linux" and "DISPLAY" not in os.environ and ctypes.util.find_
 
 from support.examples import FIXED
 
+import stage.testing.failed_test_files  # noqa: F401 (pytester forgets the modules that an inner test imports first)
+
 sys.dont_write_bytecode = (
     False  # nor do tests without it: pytest would rewrite the asserts of all of them in each worker, each time
 )
