@@ -54,7 +54,7 @@ def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_r
     created = registerbench.play(
         "random", "brief", "heavy", run=6, round_="2031", episodes=1, name="dice", notes="n", cost={"moves": 4}
     )
-    assert requested == [("random", "brief", 6)]
+    assert requested == [("random", "brief", 6, ())], "without a sandbox"
     assert rounds == [("heavy", "2031")]
     assert (created.run, created.player, created.notes, created.round, created.split, created.cost["moves"]) == (
         6,
