@@ -29,9 +29,7 @@ from stage.errors import ArgumentError, StageError
 TRAINING_TIME_LIMIT_S = 24 * 3600.0
 MAX_STANDARD_ERRORS = 3.0  # by which the mean of a run may be lower in a new round
 EQUAL_RETURN = 1e-3  # returns that differ by less are equal: the last digit of the tables
-MAX_EQUAL_SHARE = (
-    0.5  # of the solved episodes; different runs of the learners here have equal returns in up to 0.12 of them
-)
+MAX_EQUAL_SHARE = 0.5  # of the solved episodes; different runs of learners have equal returns in up to 0.12 of them
 
 
 @dataclass(frozen=True)
@@ -198,13 +196,8 @@ def _explain_new_round_failure(e: Entry, word: str) -> str:
     """
     again = _run_training_command(e, word)
     seeds = list_test_seeds(find_card(e.task), e.split, word)
-    if (again.task, again.split, again.track, again.round, list(again.seeds)) != (
-        e.task,
-        e.split,
-        e.track,
-        word,
-        seeds,
-    ):
+    played = again.task, again.split, again.track, again.round, list(again.seeds)
+    if played != (e.task, e.split, e.track, word, seeds):
         return f"the training command of run {e.run} does not play a new round"
     if not entry_replay.verify(again).exact:
         return f"the training command of run {e.run} writes an entry that differs here"

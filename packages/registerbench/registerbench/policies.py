@@ -14,11 +14,12 @@ object itself, which plays in this process. Its `info` lacks the entries that th
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TextIO
 
 import numpy as np
 
@@ -209,3 +210,10 @@ def _read_episodes(path: str) -> list[np.ndarray]:
             f"{path}: `steps` must hold the number of actions of each episode as integers, and add up to the length of `actions`."
         )
     return np.split(actions, np.cumsum(steps)[:-1])
+
+
+def take_standard_output() -> TextIO:
+    """Return standard output for the answers of a process. What the process prints from now on goes to standard error."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    return answers

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 import pickle
 import sys
 from typing import Any, TextIO
 
 import numpy as np
 
-from registerbench.policies import PolicyPlayer, import_policy
+from registerbench.policies import PolicyPlayer, import_policy, take_standard_output
 from stage.errors import ArgumentError
 
 
@@ -49,6 +48,5 @@ def serve_policy(name: str, requests: TextIO, answers: TextIO) -> None:
 
 
 if __name__ == "__main__":
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as pipe:
-        os.dup2(2, 1)  # what the policy prints goes to standard error
+    with take_standard_output() as pipe:
         serve_policy(sys.argv[1], sys.stdin, pipe)

@@ -254,9 +254,7 @@ def compute_rows(entries: Iterable[Entry], checks: Sequence[EntryCheck] | None =
     for k, e in enumerate(entries):
         _require_all_test_episodes(e)
         check = None if checks is None else checks[k]
-        if (
-            check is not None and check.misnamed
-        ):  # such an entry is no run of the shipped player, and never the reference
+        if check is not None and check.misnamed:  # it is no run of the shipped player, and never the reference
             e = replace(e, player=f"{e.player} {UNCONFIRMED}")
         groups.setdefault((e.task, e.split, e.track, e.round, e.player), []).append((e, check))
     rows = _add_comparisons([_compute_row(runs) for runs in groups.values()])

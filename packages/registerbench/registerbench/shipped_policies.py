@@ -195,4 +195,4 @@ REFERENCES = {
     "line": "formula",
     "line-3": "formula",
 }
-"""Player to which others are compared, by the name of the card: the strongest that does not learn. `scripted` for other cards."""
+"""Player to which others are compared, by the name of the card; it does not learn. `scripted` for other cards."""

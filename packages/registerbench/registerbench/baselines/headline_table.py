@@ -119,7 +119,7 @@ FULL_PLAN = Plan(
         Learner("home", "es", "cmaes", 115.0, {"generations": 8}),
     ),
 )
-"""Tables of the benchmark's page. The seconds were measured on one processor of an Intel Xeon."""
+"""Tables of the benchmark's page. The seconds are those of the published run, on one processor of an AMD EPYC beside other work."""
 
 QUICK_PLAN = Plan(
     splits={"one-shot": ("weak",)},

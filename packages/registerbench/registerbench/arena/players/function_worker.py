@@ -8,11 +8,10 @@ from __future__ import annotations
 import asyncio
 import inspect
 import json
-import os
 import sys
 from typing import Any, TextIO
 
-from registerbench.policies import import_attribute
+from registerbench.policies import import_attribute, take_standard_output
 from stage.agents import Answer
 from stage.errors import ArgumentError, StageError
 
@@ -90,6 +89,5 @@ def play_game(name: str, requests: TextIO, answers: TextIO) -> None:
 
 if __name__ == "__main__":
     sys.path[:] = json.loads(sys.argv[2])
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as pipe:
-        os.dup2(2, 1)  # what the player prints goes to standard error
+    with take_standard_output() as pipe:
         play_game(sys.argv[1], sys.stdin, pipe)
