@@ -19,7 +19,7 @@ from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
 
-from caproto import AlarmSeverity, AlarmStatus, SkipWrite
+from caproto import AlarmSeverity, AlarmStatus, ChannelAlarm, SkipWrite
 from caproto.server import PVGroup, pvproperty
 from caproto.server.records import MotorFields
 from caproto.server.server import PvpropertyDouble, PvpropertyString
@@ -78,6 +78,19 @@ class TargetValue(PvpropertyDouble):
         return value if self.putter is None else await self.putter(self, value)
 
 
+class RecordAlarm(ChannelAlarm):
+    """Alarm of all fields of a record. caproto would reset it whenever a field accepts a put."""
+
+    async def write(self, *, status: Any = None, severity: Any = None, **acknowledgement: Any) -> None:
+        """Write what a client acknowledges; the status and severity of one field are ignored."""
+        await super().write(**acknowledgement)
+
+    async def publish_if_changed(self, status: AlarmStatus, severity: AlarmSeverity) -> None:
+        """Publish the alarm of the record if it has changed."""
+        if (self.status, self.severity) != (status, severity):
+            await super().write(status=status, severity=severity)
+
+
 class MotorRecord(PVGroup):
     """Motor record of an axis, and a PV with the last message.
 
@@ -120,6 +133,9 @@ class MotorRecord(PVGroup):
         instance = self.motor.field_inst
         self._fields = {spec.pvspec.name: getattr(instance, name) for name, spec in StageMotorFields._pvs_.items()}
         self._fields["VAL"] = self.motor
+        self._alarm = RecordAlarm()
+        for field in self._fields.values():
+            field.alarm = self._alarm
         for name, put in self._list_putters().items():
             self._fields[name].putter = put
 
@@ -247,7 +263,7 @@ class MotorRecord(PVGroup):
         )
 
     async def _set_alarm(self, high: bool, low: bool, has_problem: bool) -> None:
-        """Publish the alarm of VAL and RBV: HLSV at a limit switch or beyond a soft limit, else MAJOR for a problem."""
+        """Publish the alarm of the record: HLSV at a limit switch or beyond a soft limit, else MAJOR for a problem."""
         severity, status = AlarmSeverity.NO_ALARM, AlarmStatus.NO_ALARM
         target, low_limit, high_limit = self.get("DVAL"), self.get("DLLM"), self.get("DHLM")
         has_limits = not low_limit == high_limit == 0
@@ -260,10 +276,7 @@ class MotorRecord(PVGroup):
             status = AlarmStatus.HIGH if high or above else AlarmStatus.LOW
         elif has_problem:
             severity, status = AlarmSeverity.MAJOR_ALARM, AlarmStatus.STATE
-        for field in ("VAL", "RBV"):
-            alarm = self._fields[field].alarm
-            if (alarm.severity, alarm.status) != (severity, status):
-                await alarm.write(status=status, severity=severity)
+        await self._alarm.publish_if_changed(status, severity)
 
     async def _publish_message(self, text: str) -> None:
         """Publish a message of the record for people."""

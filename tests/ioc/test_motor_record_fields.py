@@ -177,6 +177,15 @@ def test_a_refused_put_is_an_alarm_with_a_message_and_changes_nothing(x, field, 
     assert not x["MSTA"] & PROBLEM
 
 
+def test_an_alarm_stays_while_clients_put_to_other_fields(x):
+    x.put("VAL", math.nan)
+    for _ in range(5):
+        x.put("RTRY", 10)
+        assert x.read_alarm() == (STATE, MAJOR)
+        x.put("RLV", math.nan)
+        assert x.read_alarm() == (STATE, MAJOR)
+
+
 def test_a_speed_beyond_a_motor_without_vmax_is_refused(x):
     top = x["VMAX"]
     x.put("VMAX", 0)
