@@ -46,27 +46,60 @@ ROW_TYPE = array_of("i8")
 DEMAND_POINTS = RAMP_POINTS + 1 + RAMP_END_POINTS
 WORK_DTYPE = record(
     [
-        ("leader", "i8", (4,)),
-        ("own", "i8", (4,)),
+        ("leader_clock_hz", "i8"),
+        ("clock_hz", "i8"),
+        ("lead", "f8"),
+        ("rate_share", "f8"),
+        ("leader_motion", "i8", (4,)),
+        ("motion", "i8", (4,)),
         ("row", "i8", (10,)),
         ("up", "f8", (2, DEMAND_POINTS)),
         ("down", "f8", (2, DEMAND_POINTS)),
     ]
 )
-"""Scratch memory: motions of the leader and of the tried follower, the row of the follower, and the ramps that the leader demands
-(see `_fill_demanded_ramp`)."""
+"""Memory of a search: clocks, lead, rate share, motions of the leader and of the tried follower, the row of the follower, and the
+ramps that the leader demands (see `_fill_demanded_ramp`)."""
 
 
 @hot
-def _widen_error_range(demanded, row, motion, clock_hz, lead, end, low_error, high_error):
+def _begin_search(leader, leader_clock_hz, clock_hz, lead, rate_share, work):
+    """Store in `work` the arguments of a search, the motion of the leader, and the ramps that it demands."""
+    work.leader_clock_hz, work.clock_hz, work.lead, work.rate_share = leader_clock_hz, clock_hz, lead, rate_share
+    fill_motion(leader, work.leader_motion)
+    _fill_demanded_ramp(leader, work, 0.0, compute_ramp_ticks(leader, leader[4]), work.up)
+    begin = work.leader_motion[0] / leader_clock_hz
+    _fill_demanded_ramp(leader, work, begin, compute_ramp_ticks(leader, leader[5]), work.down)
+
+
+@hot
+def _fill_demanded_ramp(leader, work, begin, ticks, out):
+    """Fill `out` with points of a leader's ramp that the follower has to match.
+
+    Row 0 gets the times, s, and row 1 the pulses that the follower should have made by then. RAMP_POINTS + 1 columns are filled;
+    the RAMP_END_POINTS columns after them stay free for further times.
+    """
+    length = ticks / work.leader_clock_hz
+    for k in range(RAMP_POINTS + 1):
+        _set_demanded_point(leader, work, begin + length * k / RAMP_POINTS, out, k)
+
+
+@hot
+def _set_demanded_point(leader, work, time, out, column):
+    """Fill column `column` of `out` with a time, s, and the pulses that the follower should have made by then."""
+    out[0, column] = time
+    out[1, column] = work.rate_share * count_pulses(leader, work.leader_motion, time * work.leader_clock_hz)
+
+
+@hot
+def _widen_error_range(demanded, row, work, end, low_error, high_error):
     """Widen the range of the line error E, pulses, by its values at the demanded points up to the time `end`, s.
 
     Before the follower's first pulse only a positive E counts.
     """
-    bent, m = has_s_curve_ramps(row), 8192.0 * row[7]
+    bent, m, motion = has_s_curve_ramps(row), 8192.0 * row[7], work.motion
     for k in range(demanded.shape[1]):
         if demanded[0, k] <= end:
-            ticks = max((demanded[0, k] + lead) * clock_hz, 0.0)
+            ticks = max((demanded[0, k] + work.lead) * work.clock_hz, 0.0)
             n = (compute_s_curve_phase(row, motion, ticks) if bent else compute_linear_phase(row, motion, ticks)) / m
             e = n - demanded[1, k]
             if n >= 1.0:
@@ -76,8 +109,40 @@ def _widen_error_range(demanded, row, motion, clock_hz, lead, end, low_error, hi
 
 
 @hot
-def _compute_follower_score(low_error, high_error, rate_share, penalty):
+def _find_error_range_before_ramp_down(leader, row, work):
+    """Return the smallest and the largest line error E, pulses, from the start to the leader's ramp-down."""
+    motion = work.motion
+    motion[0] = NEVER_TICKS  # its own ramp-down is not chosen yet
+    end = min(work.leader_motion[0], work.leader_motion[3]) / work.leader_clock_hz
+    k = RAMP_POINTS + 1
+    for time in (
+        find_first_pulse_tick(row, motion) / work.clock_hz - work.lead + 1e-12,
+        compute_ramp_ticks(row, row[4]) / work.clock_hz - work.lead,
+        end,
+    ):
+        _set_demanded_point(leader, work, time if 0 <= time <= end else 0.0, work.up, k)
+        k += 1
+    return _widen_error_range(work.up, row, work, np.inf, 1.0, 0.0)
+
+
+@hot
+def _widen_error_range_after_ramp_down(leader, row, work, low_error, high_error):
+    """Widen the range of the line error E by its values from the first ramp-down to the first end of an axis."""
+    motion = work.motion
+    fill_motion(row, motion)
+    end = min(work.leader_motion[3] / work.leader_clock_hz, motion[3] / work.clock_hz - work.lead)
+    begin = motion[0] / work.clock_hz - work.lead
+    k = RAMP_POINTS + 1
+    for time in (begin, begin + compute_ramp_ticks(row, row[5]) / work.clock_hz, end):
+        _set_demanded_point(leader, work, min(time, end), work.down, k)
+        k += 1
+    return _widen_error_range(work.down, row, work, end, low_error, high_error)
+
+
+@hot
+def _compute_score(error_range, rate_share, penalty):
     """Return the score of a follower of a line: about its largest distance from the line, plus a penalty. Smaller is better."""
+    low_error, high_error = error_range
     return max(1.0 - low_error, high_error + rate_share) + SPREAD_WEIGHT * abs(high_error - low_error) + penalty
 
 
@@ -102,93 +167,6 @@ def _insert_candidate(scores, candidates, score, row):
     _copy_row(row, candidates[k])
 
 
-@hot
-def _fill_demanded_ramp(leader, leader_motion, leader_clock_hz, rate_share, begin, ticks, out):
-    """Fill `out` with points of a leader's ramp that the follower has to match.
-
-    Row 0 gets the times, s, and row 1 the pulses that the follower should have made by then. RAMP_POINTS + 1 columns are filled;
-    the RAMP_END_POINTS columns after them stay free for further times.
-    """
-    length = ticks / leader_clock_hz
-    for k in range(RAMP_POINTS + 1):
-        _set_demanded_point(
-            leader, leader_motion, leader_clock_hz, rate_share, begin + length * k / RAMP_POINTS, out, k
-        )
-
-
-@hot
-def _set_demanded_point(leader, leader_motion, leader_clock_hz, rate_share, time, out, column):
-    """Fill column `column` of `out` with a time, s, and the pulses that the follower should have made by then."""
-    out[0, column] = time
-    out[1, column] = rate_share * count_pulses(leader, leader_motion, time * leader_clock_hz)
-
-
-@hot
-def _fill_demanded_ramp_up(leader, leader_motion, leader_clock_hz, rate_share, out):
-    """Fill `out` with points of the leader's ramp up that the follower has to match, see `_fill_demanded_ramp`."""
-    _fill_demanded_ramp(
-        leader, leader_motion, leader_clock_hz, rate_share, 0.0, compute_ramp_ticks(leader, leader[4]), out
-    )
-
-
-@hot
-def _fill_demanded_ramp_down(leader, leader_motion, leader_clock_hz, rate_share, out):
-    """Fill `out` with points of the leader's ramp down that the follower has to match, see `_fill_demanded_ramp`."""
-    _fill_demanded_ramp(
-        leader,
-        leader_motion,
-        leader_clock_hz,
-        rate_share,
-        leader_motion[0] / leader_clock_hz,
-        compute_ramp_ticks(leader, leader[5]),
-        out,
-    )
-
-
-@hot
-def _find_error_range_before_ramp_down(
-    leader, leader_motion, leader_clock_hz, demanded, row, motion, clock_hz, lead, rate_share
-):
-    """Return the smallest and the largest line error E, pulses, from the start to the leader's ramp-down.
-
-    `demanded` has the points of the ramp-up.
-    """
-    motion[0] = NEVER_TICKS  # its own ramp-down is not chosen yet
-    end = min(leader_motion[0], leader_motion[3]) / leader_clock_hz
-    k = RAMP_POINTS + 1
-    for time in (
-        find_first_pulse_tick(row, motion) / clock_hz - lead + 1e-12,
-        compute_ramp_ticks(row, row[4]) / clock_hz - lead,
-        end,
-    ):
-        _set_demanded_point(
-            leader, leader_motion, leader_clock_hz, rate_share, time if 0 <= time <= end else 0.0, demanded, k
-        )
-        k += 1
-    return _widen_error_range(demanded, row, motion, clock_hz, lead, np.inf, 1.0, 0.0)
-
-
-@hot
-def _widen_error_range_after_ramp_down(
-    leader, leader_motion, leader_clock_hz, demanded, row, motion, clock_hz, lead, rate_share, low_error, high_error
-):
-    """Widen the range of the line error E by its values from the first ramp-down to the first end of an axis.
-
-    `demanded` has the points of the ramp-down.
-    """
-    fill_motion(row, motion)
-    end = min(leader_motion[3] / leader_clock_hz, motion[3] / clock_hz - lead)
-    k = RAMP_POINTS + 1
-    for time in (
-        motion[0] / clock_hz - lead,
-        motion[0] / clock_hz - lead + compute_ramp_ticks(row, row[5]) / clock_hz,
-        end,
-    ):
-        _set_demanded_point(leader, leader_motion, leader_clock_hz, rate_share, min(time, end), demanded, k)
-        k += 1
-    return _widen_error_range(demanded, row, motion, clock_hz, lead, end, low_error, high_error)
-
-
 @exported(None, ROW_TYPE, "i8", "i8", "i8", "f8", "f8", "i8", "i8", array_of("f8"), array_of("i8", 2), WORK_DTYPE)
 def fit_accelerations(
     leader, leader_clock_hz, pulses, clock_hz, lead, curve_share, max_rate, only_r7, scores, candidates, work
@@ -210,20 +188,18 @@ def fit_accelerations(
         candidates: Array that is filled with rows, best first.
         work: WORK_DTYPE record, overwritten.
     """
-    leader_motion, motion, row, up = work.leader, work.own, work.row[: candidates.shape[1]], work.up
-    fill_motion(leader, leader_motion)
-    rate_share = pulses / leader[0]
+    row, rate_share = work.row[: candidates.shape[1]], pulses / leader[0]
+    _begin_search(leader, leader_clock_hz, clock_hz, lead, rate_share, work)
     step0 = leader_clock_hz / (8192.0 * leader[7])
     fh, gain = rate_share * leader[2] * step0, leader[2] - leader[1]
     slope = rate_share * step0 * leader_clock_hz / leader[4]
     rise = compute_ramp_ticks(leader, leader[4]) / leader_clock_hz
     lag = rate_share * gain * (gain + 1) * leader[4] * compute_ramp_stretch(leader) / (16384.0 * leader[7])
     fall_lag = lag * leader[5] / leader[4]
-    end = min(leader_motion[0], leader_motion[3]) / leader_clock_hz
+    end = min(work.leader_motion[0], work.leader_motion[3]) / leader_clock_hz
     middle = 0.5 * (rise + end)
     row[:] = 0
     row[0] = pulses
-    _fill_demanded_ramp_up(leader, leader_motion, leader_clock_hz, rate_share, up)
     scores[:] = 1e18
     candidates[:] = 0
     for r7 in range(only_r7 if only_r7 else 1023, only_r7 - 1 if only_r7 else 1, -1):
@@ -239,12 +215,8 @@ def fit_accelerations(
         if gain == 0 or high == 1:
             row[1], row[4], row[5] = high, 2, 2
             set_s_curve_registers(row, curve_share)
-            low_error, high_error = _find_error_range_before_ramp_down(
-                leader, leader_motion, leader_clock_hz, up, row, motion, clock_hz, lead, rate_share
-            )
-            _insert_candidate(
-                scores, candidates, _compute_follower_score(low_error, high_error, rate_share, penalty), row
-            )
+            error_range = _find_error_range_before_ramp_down(leader, row, work)
+            _insert_candidate(scores, candidates, _compute_score(error_range, rate_share, penalty), row)
             continue
         row[1] = max(high - max(int(np.rint(high * gain / leader[2])), 1), 1)
         set_s_curve_registers(row, curve_share)
@@ -273,15 +245,9 @@ def fit_accelerations(
                     tail = TAIL_WEIGHT * abs(row[1] * step / (leader[1] * step0) - rate_share)
                     if floor + tail < scores[-1]:
                         set_s_curve_registers(row, curve_share)
-                        low_error, high_error = _find_error_range_before_ramp_down(
-                            leader, leader_motion, leader_clock_hz, up, row, motion, clock_hz, lead, rate_share
-                        )
-                        _insert_candidate(
-                            scores,
-                            candidates,
-                            _compute_follower_score(low_error, high_error, rate_share, penalty) + tail,
-                            row,
-                        )
+                        error_range = _find_error_range_before_ramp_down(leader, row, work)
+                        score = _compute_score(error_range, rate_share, penalty) + tail
+                        _insert_candidate(scores, candidates, score, row)
 
 
 @exported(
@@ -305,14 +271,11 @@ def fit_decelerations(
         best: Array that is filled with rows, best first.
         work: Room to work in.
     """
-    leader_motion, motion, row, up, down = work.leader, work.own, work.row[: candidates.shape[1]], work.up, work.down
-    fill_motion(leader, leader_motion)
+    row, rate_share = work.row[: candidates.shape[1]], candidates[0, 0] / leader[0]
+    _begin_search(leader, leader_clock_hz, clock_hz, lead, rate_share, work)
     scores[:] = 1e18
     best[:] = 0
-    begin = leader_motion[0] / leader_clock_hz
-    rate_share = candidates[0, 0] / leader[0]
-    _fill_demanded_ramp_up(leader, leader_motion, leader_clock_hz, rate_share, up)
-    _fill_demanded_ramp_down(leader, leader_motion, leader_clock_hz, rate_share, down)
+    begin = work.leader_motion[0] / leader_clock_hz
     for index in range(len(candidates)):
         _copy_row(candidates[index], row)
         pulses = row[0]
@@ -320,36 +283,15 @@ def fit_decelerations(
             continue
         error = abs(row[2] * clock_hz * leader[7] / (rate_share * leader[2] * leader_clock_hz * row[7]) - 1.0)
         penalty = RATIO_WEIGHT * error + DRIFT_WEIGHT * error * pulses
-        rise_low_error, rise_high_error = _find_error_range_before_ramp_down(
-            leader, leader_motion, leader_clock_hz, up, row, motion, clock_hz, lead, rate_share
-        )
+        low_error, high_error = _find_error_range_before_ramp_down(leader, row, work)
         if row[2] == row[1]:
-            low_error, high_error = _widen_error_range_after_ramp_down(
-                leader,
-                leader_motion,
-                leader_clock_hz,
-                down,
-                row,
-                motion,
-                clock_hz,
-                lead,
-                rate_share,
-                rise_low_error,
-                rise_high_error,
-            )
-            _insert_candidate(scores, best, _compute_follower_score(low_error, high_error, rate_share, penalty), row)
+            error_range = _widen_error_range_after_ramp_down(leader, row, work, low_error, high_error)
+            _insert_candidate(scores, best, _compute_score(error_range, rate_share, penalty), row)
             continue
-        slope = (
-            clock_hz
-            / (8192.0 * row[7])
-            * leader[5]
-            * clock_hz
-            * 8192
-            * leader[7]
-            / (rate_share * leader_clock_hz * leader_clock_hz)
-        )
+        step = clock_hz / (8192.0 * row[7])
+        slope = step * leader[5] * clock_hz * 8192 * leader[7] / (rate_share * leader_clock_hz * leader_clock_hz)
         nominal = int(np.rint(slope * (compute_ramp_stretch(leader) / compute_ramp_stretch(row))))
-        pulses_made = int(count_pulses(row, motion, (begin + lead) * clock_hz))
+        pulses_made = int(count_pulses(row, work.motion, (begin + lead) * clock_hz))
         last = 0
         for shift in range(-3, 4):
             r5 = row[4] if automatic else min(max(nominal + shift, 2), max_rate)
@@ -358,22 +300,8 @@ def fit_decelerations(
             last = row[5] = r5
             for k in range(-1, 3):
                 row[6] = min(max(pulses - pulses_made - k + 1, 1), pulses, max_point)
-                low_error, high_error = _widen_error_range_after_ramp_down(
-                    leader,
-                    leader_motion,
-                    leader_clock_hz,
-                    down,
-                    row,
-                    motion,
-                    clock_hz,
-                    lead,
-                    rate_share,
-                    rise_low_error,
-                    rise_high_error,
-                )
-                _insert_candidate(
-                    scores, best, _compute_follower_score(low_error, high_error, rate_share, penalty), row
-                )
+                error_range = _widen_error_range_after_ramp_down(leader, row, work, low_error, high_error)
+                _insert_candidate(scores, best, _compute_score(error_range, rate_share, penalty), row)
 
 
 @exported("f8", ROW_TYPE, "i8", ROW_TYPE, "i8", "f8", WORK_DTYPE)
@@ -388,17 +316,10 @@ def estimate_follower_error(leader, leader_clock_hz, row, clock_hz, lead, work):
         lead: Seconds by which the follower is started earlier.
         work: Room to work in.
     """
-    leader_motion, motion, up, down = work.leader, work.own, work.up, work.down
-    fill_motion(leader, leader_motion)
     rate_share = row[0] / leader[0]
-    _fill_demanded_ramp_up(leader, leader_motion, leader_clock_hz, rate_share, up)
-    _fill_demanded_ramp_down(leader, leader_motion, leader_clock_hz, rate_share, down)
-    low_error, high_error = _find_error_range_before_ramp_down(
-        leader, leader_motion, leader_clock_hz, up, row, motion, clock_hz, lead, rate_share
-    )
-    low_error, high_error = _widen_error_range_after_ramp_down(
-        leader, leader_motion, leader_clock_hz, down, row, motion, clock_hz, lead, rate_share, low_error, high_error
-    )
+    _begin_search(leader, leader_clock_hz, clock_hz, lead, rate_share, work)
+    low_error, high_error = _find_error_range_before_ramp_down(leader, row, work)
+    low_error, high_error = _widen_error_range_after_ramp_down(leader, row, work, low_error, high_error)
     return max(1.0 - low_error, high_error + rate_share)
 
 
@@ -438,16 +359,7 @@ def compute_rate_misfits(
 ):
     """Compute `compute_rate_misfit` for many leaders, and store each result in `misfits` if it is larger than the entry there."""
     for k in range(len(misfits)):
-        misfits[k] = max(
-            misfits[k],
-            compute_rate_misfit(
-                leader_speeds[k],
-                leader_r7s[k],
-                leader_clock_hz,
-                rate_share,
-                clock_hz,
-                min_speed,
-                accepted_error,
-                only_r7,
-            ),
+        misfit = compute_rate_misfit(
+            leader_speeds[k], leader_r7s[k], leader_clock_hz, rate_share, clock_hz, min_speed, accepted_error, only_r7
         )
+        misfits[k] = max(misfits[k], misfit)
