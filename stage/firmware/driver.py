@@ -490,7 +490,7 @@ class Driver(ABC):
 
         Args:
             drivers: Drivers by the names of their axes.
-            pulses: Signed pulses of each axis.
+            pulses: Signed pulses (counts of a servo) of each axis.
             speeds: Rates and ramps of the longest axis.
             timeout: Simulated seconds to wait; None: half as much again as the line can take, and one.
 
@@ -499,6 +499,7 @@ class Driver(ABC):
 
         Raises:
             ArgumentError: The chips draw no such line.
+            StageError: An axis moves already.
             RunTimeout: An axis still moved after `timeout`.
         """
         raise ArgumentError(f"{add_article(next(iter(drivers.values())).chip.MAP.chip)} draws no lines.")

@@ -315,18 +315,8 @@ class Hctl1100Driver(Driver):
     ) -> SynchronizedReport:
         """Move along a line: write a command position to each chip in each sample, synchronized by the SYNC pins.
 
-        Args:
-            drivers: Drivers by the names of their axes.
-            pulses: Signed counts of each axis.
-            speeds: Speed, counts/s, and ramps of the longest axis.
-            timeout: Simulated seconds to wait; None: without a limit.
-
-        Returns:
-            A report of all axes.
-
         Raises:
-            ArgumentError: The chips cannot make these rates, or a command position does not fit its register.
-            RunTimeout: The line was not complete after `timeout`, or an axis has not arrived at its end.
+            RunTimeout: The line was not complete after `timeout` (None: no limit), or an axis has not arrived at its end.
         """
         everyone = cast("dict[str, Hctl1100Driver]", drivers)
         moving_drivers = select_moving_drivers(everyone, pulses)

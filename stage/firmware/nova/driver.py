@@ -133,7 +133,7 @@ class NovaDriver(Driver):
         wait_until_stopped([self.axis], STOP_TIMEOUT_S)
 
     def is_stop_command(self, address: int, value: int) -> bool:
-        codes = [self.map.command(name).code for name in (self.STOP, self.SLOW_DOWN)]
+        codes = self.map.command_codes(self.STOP, self.SLOW_DOWN)
         return address == 0 and bool(value >> 8 & 1 << self.axis.chip_axis) and value & 0xFF in codes
 
     def read_stop_reason(self) -> str:
@@ -198,22 +198,7 @@ class NovaDriver(Driver):
     def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Move along a line by the chip's linear interpolation if it has one, otherwise by ranges in the ratio of the distances.
-
-        Args:
-            drivers: Drivers by the names of their axes.
-            pulses: Signed pulses of each axis.
-            speeds: Rates and ramps of the longest axis.
-            timeout: Simulated seconds to wait; None: half as much again as the line can take.
-
-        Returns:
-            A report of all axes.
-
-        Raises:
-            ArgumentError: The chips cannot draw this line.
-            StageError: An axis moves already.
-            RunTimeout: An axis still moved after `timeout`.
-        """
+        """Move along a line by the chip's linear interpolation if it has one, otherwise by ranges in the ratio of the distances."""
         moving_drivers = select_moving_drivers(cast("dict[str, NovaDriver]", drivers), pulses)
         for driver in moving_drivers.values():
             if driver.port.is_driving():
@@ -375,16 +360,9 @@ class NovaDriver(Driver):
 
     @abstractmethod
     def add_home_search(
-        self,
-        program: Operations,
-        fast: bool,
-        timer: int,
-        index: bool,
-        timeout_s: float,
-        rest_s: float,
-        direction: int = -1,
+        self, program: Program, fast: bool, timer: int, index: bool, timeout_s: float, rest_s: float
     ) -> list[int]:
-        """Add a search for ORG, the origin switch, to a program.
+        """Add a search for ORG, the origin switch, towards minus to a program.
 
         Args:
             program: Program, or operations that are done at once.
@@ -393,13 +371,11 @@ class NovaDriver(Driver):
             index: True to go on to STOP2, the index pulse.
             timeout_s: Time that a drive may take, s.
             rest_s: Time to wait after the stop, s.
-            direction: Direction in which ORG lies, 1 or -1.
 
         Returns:
             Indices of the operations that poll for the stop.
         """
 
-    @abstractmethod
     def add_input_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
         """Add the reads of the errors and of the levels of STOP1 and STOP2 to a program.
 
@@ -408,6 +384,25 @@ class NovaDriver(Driver):
 
         Returns:
             For "error", "stop1" and "stop2": index of the read operation, mask, and the level that means on.
+        """
+        self.add_command(program, self.NOP)
+        at = len(program)
+        program.read(self.index, 2).read(self.index, self.find_stop_level_mask(1)[0])
+        levels = {
+            f"stop{k}": (at + 1, self.find_stop_level_mask(k)[1], self.is_stop_input_active_high(k)) for k in (1, 2)
+        }
+        # HLMT+: on its way out of an ORG that is stuck
+        return {"error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True), **levels}
+
+    @abstractmethod
+    def find_stop_level_mask(self, number: int) -> tuple[int, int]:
+        """Find the bit that has the level of the input STOP1 or STOP2 of this axis.
+
+        Args:
+            number: 1 or 2.
+
+        Returns:
+            Bus address of the register, and mask of the bit.
         """
 
     def is_stop_input_active_high(self, number: int) -> bool:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 from stage.chips.nova import MCX314AS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, UNIT_MULTIPLE_RANGE
 from stage.firmware.driver import SETTLING_TIME_S, ImmediateOperations, Speeds, wait_until_stopped
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.nova.chip_port import compute_logic_bits
-from stage.firmware.nova.driver import HOME_SPEED_PPS, SEARCH_TIME_FACTOR, NovaDriver
+from stage.firmware.nova.driver import HOME_SPEED_PPS, SEARCH_TIME_FACTOR, NovaDriver, OperationsType
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Operations, Program
-
-OperationsType = TypeVar("OperationsType", bound=Operations)
 
 HMST = MCX304_MAP.field("RR2", "HMST")
 HMST_REVERSE_SEARCH_CODE = HMST.find_code("step 2: waits for STOP1 in the other direction")
@@ -50,7 +48,7 @@ class Mcx300Driver(NovaDriver):
             now = ImmediateOperations(self.axis)
             self.add_register_write(now, "HV", self.clip_to_legal_range("HV", HOME_SPEED_PPS / self.UNIT))
             self._add_run_to_signal(now, direction, timeout, SETTLING_TIME_S)
-            address, stop1 = self._find_stop_level_mask(1)
+            address, stop1 = self.find_stop_level_mask(1)
             stop_reason = self.read_stop_reason()
             if stop_reason in ("EL+", "EL-") and bool(
                 self.chip.read(address) & stop1
@@ -140,47 +138,21 @@ class Mcx300Driver(NovaDriver):
         return {"step1": (0, 1)}
 
     def add_home_search(
-        self,
-        program: Operations,
-        fast: bool,
-        timer: int,
-        index: bool,
-        timeout_s: float,
-        rest_s: float,
-        direction: int = -1,
+        self, program: Program, fast: bool, timer: int, index: bool, timeout_s: float, rest_s: float
     ) -> list[int]:
+        limit_s = SEARCH_TIME_FACTOR * timeout_s
         if fast:
-            polls = [self._add_run_to_signal(program, direction, SEARCH_TIME_FACTOR * timeout_s, rest_s)]
+            first = self._add_run_to_signal(program, -1, limit_s, rest_s)
         else:
             self.add_command(program, self.NOP)  # programs are alike: three operations
             program.wait(0).wait(0)
-            polls = [self._add_stop_wait(program, SEARCH_TIME_FACTOR * timeout_s, rest_s)]
-        return [
-            *polls,
-            self._add_automatic_home_search(program, index, SEARCH_TIME_FACTOR * timeout_s, rest_s, direction),
-        ]
+            first = self._add_stop_wait(program, limit_s, rest_s)
+        self._add_search_start(program, index, -1, 0)
+        return [first, self._add_stop_wait(program, limit_s, rest_s)]
 
     def _add_run_to_signal(self, program: Operations, direction: int, timeout_s: float, rest_s: float) -> int:
         """Add a continuous drive that STOP1 or a limit ends; return the index of the operation that polls for the stop."""
         self.add_command(self.add_mode_words(program, WR1=self._compute_wr1("SP1-E")), self.RUN[direction < 0])
-        return self._add_stop_wait(program, timeout_s, rest_s)
-
-    def _add_automatic_home_search(
-        self, program: Operations, index: bool, timeout_s: float, rest_s: float, direction: int
-    ) -> int:
-        """Add the automatic home search without its first step, and the wait for its end.
-
-        Args:
-            program: Program, or operations that are done at once.
-            index: Whether the search goes on to the index pulse.
-            timeout_s: Time that the search may take, s.
-            rest_s: Time to wait after the stop, s.
-            direction: Direction in which ORG lies, 1 or -1.
-
-        Returns:
-            Index of the operation that polls for the stop.
-        """
-        self._add_search_start(program, index, direction, 0)
         return self._add_stop_wait(program, timeout_s, rest_s)
 
     def _add_search_start(self, program: Operations, index: bool, direction: int, filter_code: int) -> None:
@@ -209,27 +181,7 @@ class Mcx300Driver(NovaDriver):
         self.add_command(program, self.STOP).wait(rest_s)
         return at
 
-    def add_input_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
-        self.add_command(program, self.NOP)
-        at = len(program)
-        program.read(self.index, 2).read(self.index, self._find_stop_level_mask(1)[0])
-        levels = {
-            f"stop{k}": (at + 1, self._find_stop_level_mask(k)[1], self.is_stop_input_active_high(k)) for k in (1, 2)
-        }
-        return {
-            "error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True),
-            **levels,
-        }  # on its way out of an ORG that is stuck
-
-    def _find_stop_level_mask(self, number: int) -> tuple[int, int]:
-        """Find the bit that has the level of the input STOP1 or STOP2 of this axis.
-
-        Args:
-            number: 1 or 2.
-
-        Returns:
-            Bus address of the register, and mask of the bit.
-        """
+    def find_stop_level_mask(self, number: int) -> tuple[int, int]:
         axis = self.axis.chip_axis
         word = f"RR{4 + axis // (1 if self.chip.AXES == 2 else 2)}"
         return int(word[2:]), self.get_mask(word, f"{'XYZU'[axis]}-STOP{number}")

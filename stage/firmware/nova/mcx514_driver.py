@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.nova.chip_port import compute_mcx514_wr2
-from stage.firmware.nova.driver import HOME_SPEED_PPS, SEARCH_TIME_FACTOR, STOP_REASON_BY_BIT, NovaDriver
+from stage.firmware.nova.driver import (
+    HOME_SPEED_PPS,
+    SEARCH_TIME_FACTOR,
+    STOP_REASON_BY_BIT,
+    NovaDriver,
+    OperationsType,
+)
 from stage.firmware.nova.home_search import home_search
 from stage.firmware.nova.path_interpolation import ArcSegment, PathReport, PathSpeed, move_along_path
 from stage.firmware.parameter_ranges import get_register_range
-from stage.sim.program import Operations, Program
-
-OperationsType = TypeVar("OperationsType", bound=Operations)
+from stage.sim.program import Program
 
 MAX_TIMER_CODES = 8  # HTM
 MASTER, SLAVE = 1, 2  # MLT
@@ -106,19 +110,12 @@ class Mcx514Driver(NovaDriver):
         return {"step1": (0, 1), "timer": (0, MAX_TIMER_CODES)}
 
     def add_home_search(
-        self,
-        program: Operations,
-        fast: bool,
-        timer: int,
-        index: bool,
-        timeout_s: float,
-        rest_s: float,
-        direction: int = -1,
+        self, program: Program, fast: bool, timer: int, index: bool, timeout_s: float, rest_s: float
     ) -> list[int]:
         steps = [f"S{k}" for k in (1, 2, 3) if k == 2 or (fast, index)[k == 3]]
-        steps = [f"{step}EN" for step in steps] + [f"{step}DR" for step in steps if direction < 0]
+        bits = [f"{step}{suffix}" for step in steps for suffix in ("EN", "DR")]
         stop1 = 1 << self.map.bit("H1M", "S1G")
-        self.add_register_write(program, "H1M", self.get_mask("H1M", *steps) | stop1)
+        self.add_register_write(program, "H1M", self.get_mask("H1M", *bits) | stop1)
         length = (timer - 1) << self.map.bit("H2M", "HTM") if timer else 0
         self.add_register_write(program, "H2M", length | (self.get_mask("H2M", "HTME") if timer else 0))
         self.add_command(program, "HMSRC").until_stopped([self.index], SEARCH_TIME_FACTOR * timeout_s)
@@ -126,14 +123,5 @@ class Mcx514Driver(NovaDriver):
         self.add_command(program, self.STOP).wait(rest_s)
         return [at]
 
-    def add_input_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
-        self.add_command(program, self.NOP)
-        at = len(program)
-        program.read(self.index, 2).read(self.index, 3)
-        levels = {
-            f"stop{k}": (at + 1, self.get_mask("RR3-0", f"STOP{k}"), self.is_stop_input_active_high(k)) for k in (1, 2)
-        }
-        return {
-            "error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True),
-            **levels,
-        }  # on its way out of an ORG that is stuck
+    def find_stop_level_mask(self, number: int) -> tuple[int, int]:
+        return 3, self.get_mask("RR3-0", f"STOP{number}")

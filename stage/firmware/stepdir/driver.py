@@ -177,22 +177,7 @@ class StepDirDriver(Driver):
     def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Move axes along a straight line: the steps of the shorter ones are spread among those of the longest by Bresenham's rule.
-
-        Args:
-            drivers: Drivers by the names of their axes.
-            pulses: Signed steps of each axis.
-            speeds: Rates and ramps of the longest axis.
-            timeout: Simulated seconds to wait; None: half as much again as the line can take, and one.
-
-        Returns:
-            A report of all axes.
-
-        Raises:
-            ArgumentError: The step timers cannot make it.
-            StageError: An axis moves already.
-            RunTimeout: An axis still moved after `timeout`.
-        """
+        """Move along a line: the steps of the shorter axes are spread among those of the longest by Bresenham's rule."""
         moving: dict[str, Any] = select_moving_drivers(drivers, pulses)
         events = max(abs(pulses[name]) for name in moving)
         MAP.check_value("STEPS", events)
