@@ -144,13 +144,7 @@ def draft_braking(axis, speed, acceleration):
     Returns:
         The number of pieces in the draft.
     """
-    if not axis.curved:
-        return (
-            draft_speed_change(axis, speed, acceleration, dd.load_pair(axis.sv))
-            if dd.is_less(dd.load_pair(axis.sv), speed)
-            else 0
-        )
-    if acceleration[0] == 0.0:
+    if not axis.curved or acceleration[0] == 0.0:
         return (
             draft_speed_change(axis, speed, acceleration, dd.load_pair(axis.sv))
             if dd.is_less(dd.load_pair(axis.sv), speed)

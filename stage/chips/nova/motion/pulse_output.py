@@ -21,7 +21,7 @@ from stage.native import greatest, hot, least
 
 INDEPENDENT, PULSE_AND_DIRECTION, QUADRATURE_X4, QUADRATURE_X2 = range(4)
 DPMD = MCX514_MAP.bit("WR3", "DPMD")
-DP_L, DIR_L_514, DPINV = (MCX514_MAP.mask("WR3", name) for name in ("DP-L", "DIR-L", "DPINV"))
+DP_L, DIR_L_514, DPINV = MCX514_MAP.masks("WR3", "DP-L", "DIR-L", "DPINV")
 PLSMD, POINV = MCX304_MAP.bit("WR2", "PLSMD"), MCX304_MAP.mask("WR3", "POINV")
 PLS_L, DIR_L_304 = MCX304_MAP.mask("WR2", "PLS-L"), MCX304_MAP.mask("WR2", "DIR-L")
 MAX_PULSE_CLOCKS = float(1 << 40)

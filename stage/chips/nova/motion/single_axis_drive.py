@@ -58,13 +58,13 @@ def find_goal_speed(axis, pulses):
         axis: State of the axis.
         pulses: Number of pulses of the drive.
     """
-    goal = profile_planner.dd.load_pair(axis.dv)
+    goal = dd.load_pair(axis.dv)
     if (
-        axis.prevents_triangle and not axis.curved and dd.is_less(profile_planner.dd.load_pair(axis.sv), goal)
+        axis.prevents_triangle and not axis.curved and dd.is_less(dd.load_pair(axis.sv), goal)
     ):  # a speed above the cap is kept
         top, now = (
             profile_planner.compute_triangle_speed(axis, pulses),
-            profile_planner.dd.load_pair(axis.cursor[profile_planner.CURSOR_SPEED]),
+            dd.load_pair(axis.cursor[profile_planner.CURSOR_SPEED]),
         )
         goal = dd.minimum(goal, now if dd.is_less(top, now) else top)
     return goal
@@ -75,7 +75,7 @@ def plan_drive(chip, axis):
     """Plan the rest of the drive, from the cursor of the plan on."""
     load_drive_speed(chip, axis, axis.reg[state.DV])
     if not axis.fixed:
-        profile_planner.plan_endless_drive(axis, profile_planner.dd.load_pair(axis.dv))
+        profile_planner.plan_endless_drive(axis, dd.load_pair(axis.dv))
         return
     goal = find_goal_speed(axis, axis.output_pulses)
     if not axis.manual_deceleration:
@@ -117,7 +117,7 @@ def begin_drive(chip, axis, direction, pulse_count):
         chip.clock,
         dd.ZERO,
         dd.ZERO,
-        dd.minimum(profile_planner.dd.load_pair(axis.sv), profile_planner.dd.load_pair(axis.dv)),
+        dd.minimum(dd.load_pair(axis.sv), dd.load_pair(axis.dv)),
         dd.ZERO,
     )
     plan_drive(chip, axis)
@@ -326,7 +326,7 @@ def begin_decelerating_stop(chip, axis, cause):
     store_pulse_end(axis)
     profile_planner.begin_plan_at(axis, n)
     if axis.piece_phase[s] == state.AREA_D:
-        profile_planner.dd.store_pair(axis.cursor[profile_planner.CURSOR_ACCELERATION], dd.ZERO)
+        dd.store_pair(axis.cursor[profile_planner.CURSOR_ACCELERATION], dd.ZERO)
         profile_planner.plan_runaway(axis)
         axis.fixed = 0
     else:
