@@ -18,12 +18,7 @@ from stage.native import array_of, exported, hot, least
 EDGE_MARGIN = 8
 ALL_OUTPUTS = sum(OUTPUTS.values())
 
-__all__ = [
-    "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_inputs",
-    "write_present_edge", "compute_drive_input", "read_net_count", "read_outputs", "peek", "power_up",
-    "read_pulse_rate", "read", "run", "scan_edges", "scan_edges_and_shafts", "set_shaft", "set_input",
-    "read_status", "trace_pulses", "read_register_value", "write",
-]  # fmt: skip
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 
 @hot

@@ -12,12 +12,7 @@ from stage.chips.pcl240.motion import compute_mean_count, run, run_to_event, run
 from stage.chips.pcl240.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, greatest, hot, least
 
-__all__ = [
-    "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_inputs",
-    "write_present_edge", "compute_drive_input", "read_net_count", "read_outputs", "peek", "power_up",
-    "read_pulse_rate", "read", "run", "scan_edges", "set_shaft", "set_input", "read_status", "trace_pulses",
-    "read_register_value", "write",
-]  # fmt: skip
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
 
 
 # --- the functions for a stage, see stage/chips/core_interface.py; the only axis is 0 ---
