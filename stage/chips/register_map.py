@@ -402,6 +402,10 @@ class RegisterMap:
         """
         return _find_in_table(self._commands, _to_upper(symbol), f"{self.chip} command")
 
+    def command_codes(self, *symbols: str) -> tuple[int, ...]:
+        """Return the codes of several commands by their symbols."""
+        return tuple(self.command(symbol).code for symbol in symbols)
+
     @cached_property
     def by_code(self) -> dict[int, ChipCommand]:
         """Commands of the chip by their command code."""

@@ -26,7 +26,7 @@ from stage.support.argument_checks import explain_arguments
 
 __all__ = ["HCTL1100"]
 
-INIT, PROFILE = (MAP.mask("R07", name) for name in ("init", "profile"))
+INIT, PROFILE = MAP.masks("R07", "init", "profile")
 
 
 class HCTL1100(Chip):

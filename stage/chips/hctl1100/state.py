@@ -75,7 +75,7 @@ OUTPUTS = {
 }  # fmt: skip
 
 F0, F1, F2, F3, F4, F5 = (maps.MAP.mask("R00", f"f{k}") for k in range(6))
-INHIBIT, FOUR, FULL = (maps.MAP.mask("R07", name) for name in ("inhibit", "four", "full"))
+INHIBIT, FOUR, FULL = maps.MAP.masks("R07", "inhibit", "four", "full")
 STORED_MASKS = tuple(
     next((r.legal[1] if r.legal else r.mask for r in maps.MAP.registers if r.number == k and r.access != "R"), 0)
     for k in range(maps.ADDRESS_COUNT)

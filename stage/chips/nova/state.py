@@ -337,8 +337,9 @@ PLS, DIR, DRIVE, ASND, CNST, DSND, DCC, SPLIT = (1 << k for k in range(8))
 COMMON_OUTPUTS = {"int0": 1, "int1": 2}
 
 # events, as in RR1 of the MCX514; and RR2: errors in the low byte, finishing status in the high one
-D_STA, C_STA, C_END, D_END, H_END, TIMER, SPLTP, SPLTE = (MCX514_MAP.mask("RR1", name) for name in (
-    "D-STA", "C-STA", "C-END", "D-END", "H-END", "TIMER", "SPLTP", "SPLTE"))  # fmt: skip
+D_STA, C_STA, C_END, D_END, H_END, TIMER, SPLTP, SPLTE = MCX514_MAP.masks(
+    "RR1", "D-STA", "C-STA", "C-END", "D-END", "H-END", "TIMER", "SPLTP", "SPLTE"
+)
 SPLIT_START = 1 << 16  # not in RR1
 E_SLMT_PLUS, E_SLMT_MINUS, E_HLMT_PLUS, E_HLMT_MINUS, E_ALARM, E_EMG, E_HOME, E_CERR = MCX514_MAP.masks(
     "RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR"

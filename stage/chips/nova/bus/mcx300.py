@@ -6,7 +6,7 @@ Speeds and accelerations are written in multiples of R; rate_registers.py conver
 from __future__ import annotations
 
 from stage.chips.nova import common_reset, state
-from stage.chips.nova.bus.parameters import find_lowest_axis, list_parameters, to_parameter_value
+from stage.chips.nova.bus.parameters import find_lowest_axis, list_parameters, read_parameter_value, write_parameter
 from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.functions import home_search
 from stage.chips.nova.functions.input_pins import set_active_high
@@ -19,26 +19,22 @@ from stage.chips.nova.registers.mcx300_words import FILTER_DELAYS_US
 from stage.native import exported, hot, least
 
 WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = list_parameters(MAP)
-
-
-def _find_command_code(symbol: str) -> int:
-    """Return the code of a command by its symbol in the register map."""
-    return MAP.command(symbol).code
-
-
-def _find_field_mask(word: str, name: str) -> int:
-    """Return the mask of a field of a word in the register map."""
-    return MAP.mask(word, name)
-
-
-PLUS, MINUS, PLUS_ON, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = (_find_command_code(n) for n in (
-    "F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M", "START_HOLD", "START_FREE", "STOP_DEC", "STOP_SUDDEN"))  # fmt: skip
-R_LP, R_EP, R_CV, R_CA = (_find_command_code(n) for n in ("R-LP", "R-EP", "CV", "CA"))
+PLUS, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = MAP.command_codes(
+    "F_DRV_P", "C_DRV_M", "START_HOLD", "START_FREE", "STOP_DEC", "STOP_SUDDEN"
+)
+DRIVE_KINDS = (
+    single_axis_drive.FIXED_PLUS,
+    single_axis_drive.FIXED_MINUS,
+    single_axis_drive.FORWARD,
+    single_axis_drive.BACKWARD,
+)
+"""Kinds of the drives of the commands F_DRV_P to C_DRV_M, by code."""
+R_LP, R_EP, R_CV, R_CA = MAP.command_codes("R-LP", "R-EP", "CV", "CA")
 R_BR = MCX314AS_MAP.command("BR").code
 _INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
 INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
-HM_CODE, HV_CODE, HOME, DCC = (_find_command_code(n) for n in ("HM", "HV", "HOME_EXEC", "DEVCTR_CLR"))
-CODE, AXIS_BITS, FIRST_AXIS = _find_field_mask("WR0", "CODE"), _find_field_mask("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
+HM_CODE, HV_CODE, HOME, DCC = MAP.command_codes("HM", "HV", "HOME_EXEC", "DEVCTR_CLR")
+(CODE, AXIS_BITS), FIRST_AXIS = MAP.masks("WR0", "CODE", "AXIS"), MAP.bit("WR0", "AXIS")
 DRIVES, FAILS, HOMES = (1 << MCX304_MAP.bit("RR0", n) for n in ("n-DRV", "n-ERR", "n-HOM"))  # of X
 CMP_PLUS, CMP_MINUS = MAP.masks("RR1", "CMP+", "CMP-")
 FIRST_PHASE = MAP.bit("RR1", "ASND")
@@ -47,7 +43,7 @@ BY_STOPS, BY_OTHERS = (
     sum(MAP.masks("RR1", "LMT+", "LMT-", "ALARM", "EMG")),
 )
 """Causes of the last stop; of the MCX514, whose bits `causes` holds, those of STOP0 to STOP2 are one bit higher."""
-HOME_ERROR, HMST = _find_field_mask("RR2", "HOME"), MAP.bit("RR2", "HMST")
+HOME_ERROR, HMST = MAP.mask("RR2", "HOME"), MAP.bit("RR2", "HMST")
 CONSTANT_END, CONSTANT_START, DRIVE_END, HOME_END = MAP.masks("RR3", "C-END", "C-STA", "D-END", "HMEND")
 FIRST_INTERRUPT = MAP.bit("WR1", "PULSE")
 INTERRUPTS = sum(f.mask for f in MAP.word("WR1").fields if f.low >= FIRST_INTERRUPT) >> FIRST_INTERRUPT
@@ -55,14 +51,12 @@ IN_EMG, IN_EXP_PLUS, IN_EXP_MINUS, IN_INPOS, IN_ALARM, IN_IN, IN_LMT_PLUS, IN_LM
     *MAP.masks("RR4", "EMG", "X-EXP+", "X-EXP-", "X-INPOS", "X-ALARM", "X-IN", "X-LMT+", "X-LMT-"),
 )  # fmt: skip
 """Input levels of X; those of another axis lie alike in its half or word."""
-SP0_E, SP1_E, SP2_E = (_find_field_mask("WR1", f"SP{k}-E") for k in range(3))
-SP0_L, SP1_L, SP2_L = (_find_field_mask("WR1", f"SP{k}-L") for k in range(3))
-SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E, ALM_L, INP_L = (
-    _find_field_mask("WR2", name)
-    for name in "SLMT+ SLMT- LMTMD HLMT+ HLMT- CMPSL PINMD ALM-E INP-E ALM-L INP-L".split()
+SP0_E, SP1_E, SP2_E, SP0_L, SP1_L, SP2_L = MAP.masks("WR1", "SP0-E", "SP1-E", "SP2-E", "SP0-L", "SP1-L", "SP2-L")
+SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E, ALM_L, INP_L = MAP.masks(
+    "WR2", "SLMT+", "SLMT-", "LMTMD", "HLMT+", "HLMT-", "CMPSL", "PINMD", "ALM-E", "INP-E", "ALM-L", "INP-L"
 )
 PIND, FL = MAP.bit("WR2", "PIND"), MAP.bit("WR3", "FL")
-MANLD, DSNDE, SACC, AVTRI = (_find_field_mask("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "AVTRI"))
+MANLD, DSNDE, SACC, AVTRI = MAP.masks("WR3", "MANLD", "DSNDE", "SACC", "AVTRI")
 EPCLR, EPINV = MAP.masks("WR1", "EPCLR", "EPINV")
 FE0 = MAP.bit("WR3", "FE0")
 SP3_L, SP3_E = MCX314AS_MAP.masks("WR1", "SP3-L", "SP3-E")
@@ -129,26 +123,6 @@ def apply_mode_registers(chip, axis):
 
 
 @hot
-def _write_parameter(chip, axis, code, value):
-    """Write a parameter of an axis by its command code.
-
-    Args:
-        chip: State of the chip.
-        axis: State of the axis.
-        code: Code of the command that writes it.
-        value: 32 bits of data.
-    """
-    value = to_parameter_value(value, SIGNED >> code & 1, SHORT >> code & 1)
-    if code == state.DV:
-        single_axis_drive.change_drive_speed(chip, axis, value)
-    elif code == state.TP:
-        single_axis_drive.change_pulse_count(chip, axis, value)
-    else:
-        axis.reg[code] = value
-    chip.stale = 1
-
-
-@hot
 def _execute_axis_command(chip, axis, axis_index, code):
     """Execute a command for one axis.
 
@@ -159,9 +133,7 @@ def _execute_axis_command(chip, axis, axis_index, code):
         code: Code of the command.
     """
     if PLUS <= code <= MINUS_ON:
-        kind = single_axis_drive.FIXED_PLUS if code == PLUS else single_axis_drive.FIXED_MINUS if code == MINUS else (
-            single_axis_drive.FORWARD if code == PLUS_ON else single_axis_drive.BACKWARD)  # fmt: skip
-        single_axis_drive.execute_drive_command(chip, axis, kind)
+        single_axis_drive.execute_drive_command(chip, axis, DRIVE_KINDS[code - PLUS])
     elif code in (HOLD, FREE):
         if code == FREE:
             axis.stop_causes = 0
@@ -197,9 +169,10 @@ def execute_command(chip, value):
         chip.selected = axes
     chip.stale = 1
     if code < state.REGISTERS and WRITES >> code & 1:
+        value = read_parameter_value(chip, SIGNED >> code & 1, SHORT >> code & 1)
         for j in range(chip.axes):
             if axes >> j & 1:
-                _write_parameter(chip, chip.ax[j], code, chip.data_high << 16 | chip.data_low)
+                write_parameter(chip, chip.ax[j], code, value)
     elif chip.extended and code == R_BR:
         chip.read_low = chip.read_high = 0
     elif R_LP <= code <= R_CA:

@@ -6,7 +6,7 @@ A command that writes data takes it from WR6 and WR7; a command that reads data 
 from __future__ import annotations
 
 from stage.chips.nova import common_reset, state
-from stage.chips.nova.bus.parameters import find_lowest_axis, list_parameters, to_parameter_value
+from stage.chips.nova.bus.parameters import find_lowest_axis, list_parameters, read_parameter_value, write_parameter
 from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.functions import home_search, synchronous_actions, timer
 from stage.chips.nova.functions.input_pins import set_active_high
@@ -20,20 +20,8 @@ from stage.native import exported, hot
 
 WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = list_parameters(MAP)
 SHARED_REGISTERS = sum(1 << c.code for c in MAP.commands if c.kind == "data write" and not c.axes)
-
-
-def _find_command_code(symbol: str) -> int:
-    """Return the code of a command by its symbol in the register map."""
-    return MAP.command(symbol).code
-
-
-def _find_field_mask(word: str, name: str) -> int:
-    """Return the mask of a field of a word in the register map."""
-    return MAP.mask(word, name)
-
-
-RST = _find_command_code("RST")
-CODE, AXIS_BITS, FIRST_AXIS = _find_field_mask("WR0", "CODE"), _find_field_mask("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
+RST, MFPC = MAP.command_codes("RST", "MFPC")
+(CODE, AXIS_BITS), FIRST_AXIS = MAP.masks("WR0", "CODE", "AXIS"), MAP.bit("WR0", "AXIS")
 MODE_LAST = max(c.code for m in MCX514_GENERATION_MAPS for c in m.commands if c.kind == "mode write")
 READS = {c.symbol: c.code for m in MCX514_GENERATION_MAPS for c in m.commands if c.kind == "data read"}
 R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
@@ -52,11 +40,20 @@ MODE_INDEX_BY_CODE = tuple(
 READ_FIRST, READ_LAST = min(READS.values()), max(READS.values()) | 15
 """Reading commands; the others among them read as 0."""
 R_WR1, R_WR3 = READS["R-WR1"], READS["R-WR3"]
-DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_find_command_code(n) for n in (
-    "DRVRL", "DRVNR", "DRVVP", "DRVVM", "DRVAB", "DRVSBRK", "DRVFBRK", "DIRCP", "DIRCM", "HMSRC"))  # fmt: skip
-VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_find_command_code(n) for n in (
-    "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"))  # fmt: skip
-MFPC = _find_command_code("MFPC")
+DRVRL, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = MAP.command_codes(
+    "DRVRL", "DRVAB", "DRVSBRK", "DRVFBRK", "DIRCP", "DIRCM", "HMSRC"
+)
+DRIVE_KINDS = (
+    single_axis_drive.RELATIVE,
+    single_axis_drive.COUNTER_RELATIVE,
+    single_axis_drive.FORWARD,
+    single_axis_drive.BACKWARD,
+    single_axis_drive.ABSOLUTE,
+)
+"""Kinds of the drives of the commands DRVRL to DRVAB, by code."""
+VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = MAP.command_codes(
+    "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"
+)
 _CODES = {m.axes: set(m.by_code) for m in MCX514_GENERATION_MAPS}
 LACKING_CHIPS = tuple(
     sum(1 << axes for axes, its in _CODES.items() if code not in its) if code in set().union(*_CODES.values()) else 0
@@ -66,14 +63,11 @@ LACKING_CHIPS = tuple(
 _INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
 INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
 
-SP0_E, SP1_E, SP2_E, INP_E, ALM_E, HLM_E, HLM_M, SLM_E, SLM_O, SLM_M = (_find_field_mask("WR2", n) for n in (
-    "SP0-E", "SP1-E", "SP2-E", "INP-E", "ALM-E", "HLM-E", "HLM-M", "SLM-E", "SLM-O", "SLM-M"))  # fmt: skip
-SP0_L, SP1_L, SP2_L, INP_L, ALM_L, HLM_L = (
-    _find_field_mask("WR2", f"{n}-L") for n in ("SP0", "SP1", "SP2", "INP", "ALM", "HLM")
+SP0_E, SP1_E, SP2_E, INP_E, ALM_E, HLM_E, HLM_M, SLM_E, SLM_O, SLM_M = MAP.masks(
+    "WR2", "SP0-E", "SP1-E", "SP2-E", "INP-E", "ALM-E", "HLM-E", "HLM-M", "SLM-E", "SLM-O", "SLM-M"
 )
-MANLD, DSNDE, SACC, PIINV, LMINV, AVTRI = (
-    _find_field_mask("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "PIINV", "LMINV", "AVTRI")
-)
+SP0_L, SP1_L, SP2_L, INP_L, ALM_L, HLM_L = MAP.masks("WR2", "SP0-L", "SP1-L", "SP2-L", "INP-L", "ALM-L", "HLM-L")
+MANLD, DSNDE, SACC, PIINV, LMINV, AVTRI = MAP.masks("WR3", "MANLD", "DSNDE", "SACC", "PIINV", "LMINV", "AVTRI")
 PIMD = MAP.bit("WR3", "PIMD")
 DRIVES, FAILS = 1 << MAP.bit("RR0", "n-DRV"), 1 << MAP.bit("RR0", "n-ERR")  # of X
 ERRORS = sum(MAP.masks("RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR"))
@@ -131,32 +125,6 @@ def apply_mode_registers(axis):
 
 
 @hot
-def _read_data_registers(chip):
-    """Return the 32 bits of data in WR6 and WR7."""
-    return chip.data_high << 16 | chip.data_low
-
-
-@hot
-def _write_parameter(chip, axis, code, value):
-    """Write a parameter of an axis by its command code.
-
-    Args:
-        chip: State of the chip.
-        axis: State of the axis.
-        code: Code of the command that writes it.
-        value: 32 bits of data.
-    """
-    value = to_parameter_value(value, SIGNED >> code & 1, SHORT >> code & 1)
-    if code == state.DV:
-        single_axis_drive.change_drive_speed(chip, axis, value)
-    elif code == state.TP:
-        single_axis_drive.change_pulse_count(chip, axis, value)
-    else:
-        axis.reg[code] = value
-    chip.stale = 1
-
-
-@hot
 def _execute_read_command(chip, code):
     """Execute a data reading command, which puts a value of an axis or of the chip into RR6 and RR7."""
     axis = chip.ax[find_lowest_axis(chip)]
@@ -192,16 +160,8 @@ def _execute_axis_command(chip, axis, axis_index, code):
         axis_index: Number of the axis.
         code: Code of the command.
     """
-    if code == DRVRL:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.RELATIVE)
-    elif code == DRVNR:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.COUNTER_RELATIVE)
-    elif code == DRVVP:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.FORWARD)
-    elif code == DRVVM:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.BACKWARD)
-    elif code == DRVAB:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.ABSOLUTE)
+    if DRVRL <= code <= DRVAB:
+        single_axis_drive.execute_drive_command(chip, axis, DRIVE_KINDS[code - DRVRL])
     elif code == DRVSBRK:
         home_search.end_search(chip, axis)
         single_axis_drive.begin_decelerating_stop(chip, axis, 0)
@@ -244,12 +204,12 @@ def execute_command(chip, value):
             chip.read_low = chip.read_high = 0
         return
     if code < state.REGISTERS and WRITES >> code & 1:
+        value = read_parameter_value(chip, SIGNED >> code & 1, SHORT >> code & 1)
         if SHARED_REGISTERS >> code & 1:
-            _write_parameter(chip, chip.ax[0], code, _read_data_registers(chip))
-            return
+            axes = 1
         for j in range(state.MAX_CHIP_AXES):
             if axes >> j & 1:
-                _write_parameter(chip, chip.ax[j], code, _read_data_registers(chip))
+                write_parameter(chip, chip.ax[j], code, value)
     elif state.MODE_FIRST <= code <= MODE_LAST:
         if code == state.MODE_FIRST + state.IPM:
             chip.ax[0].mode[state.IPM] = chip.data_low & ~(INTERPOLATION_AXES_MASK & ~0 << chip.axes)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from stage.chips.nova.state import MAX_CHIP_AXES, REGISTERS
+from stage.chips.nova.motion import single_axis_drive
+from stage.chips.nova.state import DV, MAX_CHIP_AXES, REGISTERS, TP
 from stage.chips.register_map import RegisterMap
 from stage.native import hot
 
@@ -41,17 +42,29 @@ def list_parameters(map_: RegisterMap) -> ParameterTable:
 
 
 @hot
-def to_parameter_value(word, signed, short):
-    """Convert the data of a command to the value of a parameter.
+def read_parameter_value(chip, signed, short):
+    """Return the value of a parameter that the data in WR6 and WR7 represent.
 
     Args:
-        word: 32 bits of data.
+        chip: State of the chip.
         signed: Whether the parameter has a sign.
         short: Whether it has 16 bits.
     """
     bits = 16 if short else 32
-    word &= (1 << bits) - 1
+    word = (chip.data_high << 16 | chip.data_low) & (1 << bits) - 1
     return word - (1 << bits) if signed and word >> (bits - 1) else word
+
+
+@hot
+def write_parameter(chip, axis, code, value):
+    """Write a parameter of an axis by the code of its command."""
+    if code == DV:
+        single_axis_drive.change_drive_speed(chip, axis, value)
+    elif code == TP:
+        single_axis_drive.change_pulse_count(chip, axis, value)
+    else:
+        axis.reg[code] = value
+    chip.stale = 1
 
 
 @hot

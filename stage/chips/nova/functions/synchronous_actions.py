@@ -17,13 +17,13 @@ from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.mcx514_words import ACTIONS
 from stage.native import hot, least
 
-DCC, TMSTA, TMSTP, SPSTA, SPSTP = (MCX514_MAP.command(n).code for n in ("DCC", "TMSTA", "TMSTP", "SPSTA", "SPSTP"))
-ENABLE, DISABLE, ACTIVATE = (MCX514_MAP.command(n).code for n in ("SYNCEN", "SYNCDIS", "SYNCACT"))
+DCC, TMSTA, TMSTP, SPSTA, SPSTP = MCX514_MAP.command_codes("DCC", "TMSTA", "TMSTP", "SPSTA", "SPSTP")
+ENABLE, DISABLE, ACTIVATE = MCX514_MAP.command_codes("SYNCEN", "SYNCDIS", "SYNCACT")
 ALL_SETS = (1 << state.SYNC_SETS) - 1
 ACT, SNC, AXIS = (MCX514_MAP.bit("S0M", n) for n in ("ACT", "SNC+1", "AXIS1"))
 REP = MCX514_MAP.mask("S0M", "REP")
 SYNC0 = MCX514_MAP.mask("RR1", "SYNC0")
-STATUS_BITS = tuple(MCX514_MAP.mask("RR3-1", n) for n in ("TIMER", "SPLIT"))
+STATUS_BITS = MCX514_MAP.masks("RR3-1", "TIMER", "SPLIT")
 
 COMPARISON, RISES, FALLS = 1, 10, 11
 RISES_LOW, RISES_HIGH, FALLS_LOW, FALLS_HIGH = range(12, 16)

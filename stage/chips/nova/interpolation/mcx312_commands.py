@@ -12,21 +12,13 @@ from stage.chips.nova.registers.mcx300 import MCX314AS_MAP
 from stage.chips.nova.state import ARC, CP, LINE, PATTERN, TP
 from stage.native import greatest, hot, least
 
-
-def _find_command_code(symbol: str) -> int:
-    """Return the code of a command by its symbol in the register map."""
-    return MAP.command(symbol).code
-
-
-LINE_2, CIRCLE_CW, CIRCLE_CCW, PATTERN_2, BP_ON, BP_OFF, BP_STACK, BP_CLEAR, ONE_STEP, DEC_ON, DEC_OFF, CLEAR = (
-    _find_command_code(n) for n in (
-        "IP_2ST", "IP_CW", "IP_CCW", "IP_2BP", "BP_ENABLED", "BP_DISABLED", "BP_STACK", "BP_CLR", "IP_1STEP",
-        "IP_DEC_VALID", "IP_DEC_INVALID", "IP_INTRPT_CLR")
-)  # fmt: skip
-LINE_3, PATTERN_3 = (MCX314AS_MAP.command(n).code for n in ("IP_3ST", "IP_3BP"))
+LINE_2, CIRCLE_CW, CIRCLE_CCW, PATTERN_2 = MAP.command_codes("IP_2ST", "IP_CW", "IP_CCW", "IP_2BP")
+BP_ON, BP_OFF, BP_STACK, BP_CLEAR = MAP.command_codes("BP_ENABLED", "BP_DISABLED", "BP_STACK", "BP_CLR")
+ONE_STEP, DEC_ON, DEC_OFF, CLEAR = MAP.command_codes("IP_1STEP", "IP_DEC_VALID", "IP_DEC_INVALID", "IP_INTRPT_CLR")
+LINE_3, PATTERN_3 = MCX314AS_MAP.command_codes("IP_3ST", "IP_3BP")
 AX1 = MAP.bit("WR5", "AX1")  # the others lie behind, two bits each
 LSPD = MAP.bit("WR5", "LSPD")
-EXPLS, CMPLS = (MAP.mask("WR5", n) for n in ("EXPLS", "CMPLS"))
+EXPLS, CMPLS = MAP.masks("WR5", "EXPLS", "CMPLS")
 VECTOR_AXIS_COUNTS = (0, 2, 2, 3)
 """Number of axes that constant vector speed considers, by LSPD."""
 SET_WORDS = 6  # of a set: + and - of three axes

@@ -22,16 +22,10 @@ from stage.chips.nova.state import (
 )
 from stage.native import greatest, hot, least
 
-
-def _find_command_code(symbol: str) -> int:
-    """Return the code of a command by its symbol in the register map."""
-    return MAP.command(symbol).code
-
-
-LINES, CIRCLE_CW, CIRCLE_CCW, PATTERNS, HELIX_CW, HELIX_CCW, COUNT_CW, COUNT_CCW = (_find_command_code(n) for n in (
-    "LHK1", "CHKCW", "CHKCCW", "BHK2", "HLCW", "HLCCW", "HLPCW", "HLPCCW"))  # fmt: skip
-DECEN, DECDIS, CLRSTEP, MFPC = (_find_command_code(n) for n in ("DECEN", "DECDIS", "CLRSTEP", "MFPC"))
-CXIV, LMDF, STEP, MAXM = (MAP.mask("IPM", n) for n in ("CXIV", "LMDF", "STEP", "MAXM"))
+LINES, CIRCLE_CW, CIRCLE_CCW, PATTERNS = MAP.command_codes("LHK1", "CHKCW", "CHKCCW", "BHK2")
+HELIX_CW, HELIX_CCW, COUNT_CW, COUNT_CCW = MAP.command_codes("HLCW", "HLCCW", "HLPCW", "HLPCCW")
+DECEN, DECDIS, CLRSTEP, MFPC = MAP.command_codes("DECEN", "DECDIS", "CLRSTEP", "MFPC")
+CXIV, LMDF, STEP, MAXM = MAP.masks("IPM", "CXIV", "LMDF", "STEP", "MAXM")
 SPD = MAP.bit("IPM", "SPD")
 CNEXT = MAP.mask("RR0", "CNEXT")
 ZONE, SC = MAP.bit("RR0", "ZONE"), MAP.bit("RR0", "SC")
