@@ -60,7 +60,7 @@ from stage.envs import machine_contexts, machine_faults
 from stage.envs.bus_macros_host import MacroHostTask
 from stage.envs.hidden_machine_task import MachineSettings
 from stage.envs.macro_programs import RATES, MacroTable
-from stage.envs.move_trials import compute_move_time
+from stage.envs.move_trials import StartPositions, compute_move_time
 from stage.envs.observation_features import HOST, Feature
 from stage.envs.origin_switch import OriginSwitch
 from stage.envs.settings import (
@@ -170,9 +170,9 @@ class BusMacros(MacroHostTask):
         m = len(self.axes)
         self.signed_pulse_m = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
         self.per_pulse = np.abs(self.signed_pulse_m)
-        self.full_step = np.array([0.5 * np.pi / (_get_motor(a).rotor_teeth * a.gear) for a in self.axes])
+        self.full_step = np.array([0.5 * np.pi / (a.drive.motor.rotor_teeth * a.gear) for a in self.axes])
         self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
-        self.turn = np.array([2 * np.pi / (_get_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
+        self.turn = np.array([StartPositions(a).turn for a in self.axes])
         self.prepare_contexts()
         self.top = LEVELS.index(c.level)
         self.macro_table = MacroTable(self.axes, c.grid, c.patience, c.settle)
@@ -304,10 +304,6 @@ class BusMacros(MacroHostTask):
             "action_mask": self.action_masks()[stage_index],
             **self.describe_machine(stage_index),
         }
-
-
-def _get_motor(axis: Any) -> Any:
-    return axis.drive.motor
 
 
 class BusMacrosEnv(StageEnv):

@@ -180,10 +180,13 @@ class HiddenMachineTask(Task[ConfigT]):
         """
         context = self.context[stage_index]
         fault, at = int(context["fault"]), int(context["faulty"])
+        name = machine_faults.FAULT_NAMES[fault]
+        if name == "overload":
+            extra_payload_kg += machine_faults.OVERLOAD_KG
         for machine in self.machines:
-            machine.apply(stage, context, extra_payload_kg + machine_faults.compute_overload_kg(fault))
+            machine.apply(stage, context, extra_payload_kg)
         for j, axis in enumerate(self.faulty):
-            axis.apply(stage, machine_faults.FAULT_NAMES[fault if j == at else 0], bounce)
+            axis.apply(stage, name if j == at else "none", bounce)
 
     def apply_machine(self, stage_index: int) -> None:
         self.apply_machine_to(self.stages[stage_index], stage_index)

@@ -60,15 +60,6 @@ def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: 
     context["faulty"] = rng.integers(0, axes) if axes > 1 else 0
 
 
-def compute_overload_kg(fault: int) -> float:
-    """Return the mass, kg, that a fault of the machine adds to the payload.
-
-    Args:
-        fault: Index of the fault in FAULT_NAMES.
-    """
-    return OVERLOAD_KG if FAULT_NAMES[fault] == "overload" else 0.0
-
-
 @dataclass(frozen=True)
 class FaultyAxis:
     """Axis whose faults can be made and cleared, with the values that it has without a fault.

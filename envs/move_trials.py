@@ -98,30 +98,6 @@ class MoveOutcomes(NamedTuple):
         return self.finished & ~self.lost
 
 
-class PulsePredictor:
-    """Predictor of how many pulses a chip makes for a program. It runs a copy of the chip without the stage."""
-
-    def __init__(self, axis: Axis):
-        self.axis = axis
-        chip: Any = axis.chip
-        self._fresh = type(chip)(**chip.options()).snapshot().record
-
-    def predict_pulses(self, ops: np.ndarray, seconds: float) -> int | None:
-        """Return the net pulses that the operations make, or None if the chip still drives after `seconds`.
-
-        Args:
-            ops: Operations of a program, (operations, 4).
-            seconds: Time of the chip, s.
-        """
-        core = self.axis.chip.CORE
-        rows = np.frombuffer(bytearray(self._fresh), core.STATE)
-        replica = np.zeros(1, core_interface.CHIP)
-        core_interface.fill_chip_record(replica[0], core, rows.ctypes.data)
-        until = round(seconds * self.axis.chip.clock_hz)
-        net_pulses = program_player.predict_pulses(replica, ops, 1 << self.axis.index, self.axis.chip_axis, until)
-        return None if net_pulses == program_player.STILL_BUSY else int(net_pulses)
-
-
 class MoveTrial(StartPositions):
     """Writer of programs for moves of an axis from power-up, and reader of their outcomes.
 
@@ -135,7 +111,8 @@ class MoveTrial(StartPositions):
     def __init__(self, axis: Axis, point: int, settle: float, encoder: bool = False):
         super().__init__(axis)
         self.driver, self.point, self.settle, self.encoder = get_driver(axis), point, settle, encoder
-        self.predictor = PulsePredictor(axis)
+        chip: Any = axis.chip
+        self._chip_at_power_up = type(chip)(**chip.options()).snapshot().record
         self.stop = self.rest = 0
 
     def make_program(
@@ -162,12 +139,19 @@ class MoveTrial(StartPositions):
     def exceeds_timeout(self, program: Program, distance: int, timeout_s: float) -> bool:
         """Return whether the chip cannot make the pulses within `timeout_s`, so that physics need not run.
 
+        A copy of the chip without the stage plays the program.
+
         Args:
             program: Program of `make_program`.
             distance: Signed distance of the move, pulses.
             timeout_s: Longest simulated time of the move, s.
         """
-        return self.predictor.predict_pulses(np.array(program.ops[: self.stop], np.int64), timeout_s) != distance
+        chip, axis = self.axis.chip, self.axis
+        rows = np.frombuffer(bytearray(self._chip_at_power_up), chip.CORE.STATE)
+        replica = np.zeros(1, core_interface.CHIP)
+        core_interface.fill_chip_record(replica[0], chip.CORE, rows.ctypes.data)
+        ops, until = np.array(program.ops[: self.stop], np.int64), round(timeout_s * chip.clock_hz)
+        return program_player.predict_pulses(replica, ops, 1 << axis.index, axis.chip_axis, until) != distance
 
     def read_outcomes(
         self, played: PlayedPrograms, truth: np.ndarray, distance: np.ndarray, count: float = 1.0

@@ -233,17 +233,11 @@ class RegisterBus(HiddenMachineTask[Config], CompiledTask[Config]):
         chips = list(dict.fromkeys(a.chip for a in self.axes))
         self.on_chip = np.array([chips.index(a.chip) for a in self.axes])
         self.first = np.array([self.on_chip.tolist().index(i) for i in range(len(chips))], np.int64)
-        bits = chip.DATA_MASK.bit_length()
-        self._bus = {"bits": bits, "status": chip.BUSY[0], "most": chip.DATA_MASK}
+        self._bus = {"bits": chip.DATA_MASK.bit_length(), "status": chip.BUSY[0], "most": chip.DATA_MASK}
         choices = [2 + len(c.waits), len(chips), chip.ADDRESSES, chip.DATA_MASK + 1]
         self.action_space = gymnasium.spaces.MultiDiscrete(choices)
-        size = (
-            len(chips) * core.count_chip_features(chip.ADDRESSES, bits)
-            + m * (core.PER_AXIS + core.TRUTH * (c.truth is True))
-            + core.COMMON
-            + len(machine_contexts.OBSERVATION_FEATURES) * (self.has_hidden_machine and c.truth is True)
-        )
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
+        width = len(self.observation_features)
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.waits = np.array([round(w * 1e9) for w in c.waits], np.int64)  # ns
         self._fill_rule_records()
         self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS_STATE)

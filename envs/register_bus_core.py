@@ -16,7 +16,7 @@ from stage.sim import program_player as player
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k waits for waits[k]
 HALF_AGE_NS = 1e6  # age at which 1 / (1 + age / HALF_AGE_NS) is one half
 SPEED_SCALE, STEPS_SCALE = 0.5, 64.0  # m/s, full steps: values that scale to 1 in an observation
-PER_AXIS, TRUTH, COMMON = 1, 4, 4
+PER_AXIS, TRUTH = 1, 4  # numbers of an observation for each axis
 MAX_PENALIZED_LOST_STEPS = 64  # largest number of lost full steps in an episode that cost something
 
 SETTINGS = {
@@ -62,17 +62,6 @@ AXIS_STATE = record([("goal", "f8"), ("target", "i8"), ("lost", "i8"), ("limit",
 
 WORD_READ = record([("seen", "i8"), ("when", "i8")])
 """Last read of an address of a chip: the value (seen), and the time (when), ns; -1 if it was never read."""
-
-
-def count_chip_features(addresses, bits):
-    """Return how many numbers of an observation a chip has: its status bits, the words at its other addresses, and all their ages.
-
-    Args:
-        addresses: Number of the chip's addresses.
-        bits: Number of its status bits.
-    """
-    return bits + (addresses - 1) + addresses
-
 
 REWARD_PARTS = ("progress", "time", "success", "lost", "failed")
 INFO_FEATURES = (

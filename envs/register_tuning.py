@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.chips import Chip, chip_class
+from stage.chips import Chip
 from stage.envs import settings
 from stage.envs.move_trials import DISPLACEMENT_SCALE_M, MoveTrial
 from stage.envs.observation_features import HOST, TRUTH, Feature
@@ -108,9 +108,6 @@ class RegisterTuning(TuningTask[Config]):
         Feature("finished", HOST, "the move made all its pulses", kind=bool),
         *make_move_info_features("pulses", "electrical turn of the motor"),
     )
-
-    def chip(self) -> type[Chip]:
-        return chip_class(self.config.chip)
 
     def make_register_box(self) -> RegisterBox:
         return RegisterBox.of_registers(self.axis.chip.MAP, self.trial.driver.list_move_registers(self.config.s_curve))

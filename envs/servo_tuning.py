@@ -27,7 +27,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stage.chips import Chip, chip_class
+from stage.chips import Chip
 from stage.envs import settings
 from stage.envs.observation_features import HOST, Feature
 from stage.envs.register_scaling import RegisterBox
@@ -123,9 +123,6 @@ class ServoTuning(TuningTask[Config]):
         Feature("finished", HOST, "it settled", kind=bool),
         *make_move_info_features("counts", "count of the encoder"),
     )
-
-    def chip(self) -> type[Chip]:
-        return chip_class(self.config.chip)
 
     def make_register_box(self) -> RegisterBox:
         self.driver = get_driver(self.axis)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from stage import Stage
-from stage.chips import Chip
+from stage.chips import Chip, chip_class
 from stage.envs.move_trials import StartPositions
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.reduced_model import reduce_model
@@ -71,9 +71,10 @@ class TuningTask(MoveTask[ConfigT]):
     UNIT: ClassVar[str]
     """Unit of a distance."""
 
-    @abstractmethod
     def chip(self) -> type[Chip]:
         """Return the class of the axis' chip."""
+        c: Any = self.config
+        return chip_class(c.chip)
 
     @abstractmethod
     def make_register_box(self) -> RegisterBox:
