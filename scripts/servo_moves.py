@@ -175,7 +175,7 @@ CIRCLES = {
 
 
 class Results(NamedTuple):
-    move_by_trapezoid: Trapezoid
+    trapezoid: Trapezoid
     lines: dict[str, tuple[np.ndarray, np.ndarray]]
     circles: dict[str, tuple[np.ndarray, np.ndarray, int]]
 
