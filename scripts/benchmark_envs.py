@@ -15,8 +15,6 @@ import argparse
 import gc
 import json
 import os
-import subprocess
-import sys
 import time
 from functools import partial
 from importlib import import_module
@@ -30,7 +28,14 @@ from bench import environment
 from bench.figures import Run
 from bench.machines import MujocoBatch
 from bench.report import format_line
-from bench.timing import do_nothing, measure_alternately, measure_time, read_resident_memory
+from bench.timing import (
+    can_read_resident_memory,
+    do_nothing,
+    measure_alternately,
+    measure_time,
+    read_resident_memory,
+    run_in_fresh_process,
+)
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import stage.envs
@@ -200,17 +205,6 @@ def measure_growth(kind, id_, n, settings):
     return (read_resident_memory() - before) / n / 1024
 
 
-def measure_growth_in_process(kind, id_, n, settings):
-    """Call `measure_growth` in a new process, so that freed memory is not used again."""
-    if not Path("/proc/self/statm").exists():
-        return float("nan")
-    what = [sys.executable, __file__, "--grow", kind, id_, str(n), "--settings", json.dumps(settings)]
-    out = subprocess.run(what, capture_output=True, text=True, errors="replace")
-    if out.returncode:
-        raise SystemExit(out.stderr)
-    return float(out.stdout)
-
-
 def select_ids(ids):
     """Return the ids of the environments that the user selected; None: all."""
     return [id_ for id_ in stage.envs.IDS if not ids or any(name in id_ for name in ids)]
@@ -231,8 +225,8 @@ def format_markdown_row(rows, first, n):
 
 def print_row(rows, id_, n, settings, max_sync):
     """Print a line of the table, and return the KiB of a stage."""
-    kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= max_sync)]
-    kib = {kind: measure_growth_in_process(kind, id_, n, settings) for kind in kinds}
+    kinds = ("ours", "bare", *["sync"] * (n <= max_sync)) if n >= ENOUGH and can_read_resident_memory() else ()
+    kib = {kind: run_in_fresh_process(measure_growth, kind, id_, n, settings) for kind in kinds}
     cells = {name: " ".join(format_spread(values)) for name, values in rows.items()}
     print(
         f"{n:6}  {cells['env steps/s']:>28}  {cells['physics steps/s']:>30}  "
@@ -262,11 +256,7 @@ def main():
     parser.add_argument("--markdown", action="store_true", help="rows of a table in place of columns, without memory")
     parser.add_argument("--overhead", action="store_true", help="what a step costs beside its physics")
     parser.add_argument("--reduced", action="store_true", help="moves a second with the reduced model")
-    parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.grow:
-        print(measure_growth(args.grow[0], args.grow[1], int(args.grow[2]), args.settings))
-        return
     if args.overhead:
         measure_overhead(args.rounds)
         return

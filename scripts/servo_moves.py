@@ -90,16 +90,10 @@ def commands(port: ChipPort, begin: int, samples: int) -> np.ndarray:
     return np.array(out)
 
 
-def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str = "x") -> Trapezoid:
-    """Make a trapezoidal move, and predict it by the linear model.
-
-    Args:
-        tuning: Filter of the chip.
-        counts: Distance, counts.
-        name: Name of the axis.
-    """
+def run_trapezoid(tuning: FilterTuning = TUNING) -> Trapezoid:
+    """Make a trapezoidal move with a filter of the chip, and predict it by the linear model."""
     machine = make_stage_at(x=-0.05)
-    axis = machine.axes[name]
+    axis = machine.axes["x"]
     port = set_up_servo(axis, tuning)
     machine.run(0.1)
     at, zero = port.read_command_position(), round(axis.commanded / axis.meters_per_pulse)
@@ -107,12 +101,12 @@ def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str
         while port.chip.read(maps.TIMER) < port.t // 2:  # the profile begins with the next sample
             machine.run(port.timer_count_s)
         first = machine.time + (port.chip.read(maps.TIMER) + 0.5) * port.timer_count_s
-        report = move_by_trapezoid(port, counts, velocity=VELOCITY, acceleration=ACCELERATION)
+        report = move_by_trapezoid(port, COUNTS, velocity=VELOCITY, acceleration=ACCELERATION)
         machine.run(0.1)
     columns = recording.columns
     when = first + port.sample * np.arange(-1, int((machine.time - first) / port.sample) - 1)
     command = zero + commands(port, at, len(when) - 1) - at
-    position = np.interp(when, columns["time"], columns[f"{name}/position"]) / axis.meters_per_pulse
+    position = np.interp(when, columns["time"], columns["x/position"]) / axis.meters_per_pulse
     predicted = ServoLoop.from_axis(axis, tuning).compute_following_error(command)
     return Trapezoid(report, when - first, command - zero, position - zero, command - position, predicted)
 
@@ -138,7 +132,7 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     return c["time"] - c["time"][0], error
 
 
-def run_circle(sync: bool, leader_only: bool, tuning: FilterTuning = TUNING) -> tuple[np.ndarray, np.ndarray, int]:
+def run_circle(sync: bool, leader_only: bool) -> tuple[np.ndarray, np.ndarray, int]:
     """Run a circle of three axes. Without SYNC the chips keep the phases of their resets, PHASES.
 
     Returns:
@@ -148,7 +142,7 @@ def run_circle(sync: bool, leader_only: bool, tuning: FilterTuning = TUNING) -> 
     for name, counts in PHASES.items():
         machine.run(counts * 16 / machine.axes[name].chip.clock_hz)
         machine.axes[name].chip.write(maps.MODE, RESET)  # a reset: its sample begins now
-    ports = [set_up_servo(machine.axes[name], tuning) for name in "xyz"]
+    ports = [set_up_servo(machine.axes[name], TUNING) for name in "xyz"]
     if sync:
         synchronize_sample_timers(ports)
     machine.run(0.2)

@@ -75,7 +75,7 @@ def measure(run: Run) -> Iterator[Figure]:
     )
     for key, name, chip, reference, begin, clocks in cases:
         t = measure_alternately(
-            {"fast": make_advance_work(begin, chip, clocks), "slow": make_reference_work(begin, reference, ticks)},
+            {"fast": make_running_work(chip, begin, clocks), "slow": make_reference_work(reference, begin, ticks)},
             run.rounds,
             run.choose(9, 3),
         )
@@ -83,8 +83,8 @@ def measure(run: Run) -> Iterator[Figure]:
         times = (clocks / t["fast"]) / (ticks / t["slow"])
         yield Figure.of(f"chips.{key}_reference", "  beside the tick reference", "times", times)
     works = {
-        "curved": make_advance_work(start_s_curve, PCL240MS, FULL),
-        "linear": make_advance_work(start_linear_ramp, PCL240MS, FULL),
+        "curved": make_running_work(PCL240MS, start_s_curve, FULL),
+        "linear": make_running_work(PCL240MS, start_linear_ramp, FULL),
     }
     t = measure_alternately(works, run.rounds, run.choose(25, 5))
     yield Figure.of(
@@ -93,8 +93,8 @@ def measure(run: Run) -> Iterator[Figure]:
     pulses = run.choose(PULSES, PULSES // 10)
     clocks = pulses * 16384 // 8000
     works = {
-        "trace": make_trace_work(clocks),
-        "slow": make_reference_work(start_constant_speed, ReferencePCL240K, ticks, traced=True),
+        "trace": make_running_work(PCL240K, start_constant_speed, clocks, traced=True),
+        "slow": make_reference_work(ReferencePCL240K, start_constant_speed, ticks, traced=True),
     }
     t = measure_alternately(works, run.rounds, 3)
     yield Figure.of("chips.traced", "pulses traced", "1/s", pulses / t["trace"], "each with clock, axis, direction")
@@ -102,15 +102,14 @@ def measure(run: Run) -> Iterator[Figure]:
     yield Figure.of("chips.traced_reference", "  beside the tick reference", "times", times)
 
 
-def make_advance_work(
-    begin: Callable[[Any], Any], make: Any, clocks: int
-) -> tuple[Callable[[], None], Callable[[], None]]:
-    """Make a work for `measure_alternately`: a chip that is started again before each call and then advances.
+def make_running_work(make: Any, begin: Callable[[Any], Any], clocks: int, traced: bool = False) -> tuple[Any, Any]:
+    """Make a work in which a chip is started again before each call and then advances or is traced.
 
     Args:
-        begin: Function that starts the chip.
         make: Class of the chip.
+        begin: Function that starts it.
         clocks: Clocks of a call.
+        traced: Whether pulses are stored.
 
     Returns:
         Preparation and work.
@@ -122,15 +121,15 @@ def make_advance_work(
         chip.restore(fresh)
         begin(chip)
 
-    return prepare, lambda: chip.advance(clocks)
+    return prepare, lambda: chip.trace(clocks) if traced else chip.advance(clocks)
 
 
-def make_reference_work(begin: Callable[[Any], Any], make: Any, ticks: int, traced: bool = False) -> tuple[Any, Any]:
-    """Make a work of the reference, as `make_advance_work` does for a chip.
+def make_reference_work(make: Any, begin: Callable[[Any], Any], ticks: int, traced: bool = False) -> tuple[Any, Any]:
+    """Make a work of the reference, as `make_running_work` does for a chip.
 
     Args:
-        begin: Function that starts the reference.
         make: Class of the reference.
+        begin: Function that starts it.
         ticks: Clocks of a call.
         traced: Whether pulses are stored.
 
@@ -151,17 +150,3 @@ def make_reference_work(begin: Callable[[Any], Any], make: Any, ticks: int, trac
                 chip.tick()
 
     return prepare, work
-
-
-def make_trace_work(clocks: int) -> tuple[Callable[[], None], Callable[[], Any]]:
-    """Make a work in which a chip at constant speed advances and every pulse is stored.
-
-    Args:
-        clocks: Clocks of a call.
-
-    Returns:
-        Preparation and work.
-    """
-    chip = start_constant_speed(PCL240K())
-    fresh = chip.snapshot()
-    return lambda: chip.restore(fresh), lambda: chip.trace(clocks)

@@ -138,9 +138,6 @@ class MujocoBatch:
     def step(self, actions: Any = None) -> None:
         self.batch.step(nstep=self.nstep)
 
-    def close(self) -> None:
-        pass
-
 
 def find_model_path(name: str = "xyz") -> str:
     """Return the path of a shipped model."""

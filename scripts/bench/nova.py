@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from bench.chips import load_registers as load_pcl
+from bench.chips import make_running_work
 from bench.figures import Figure, Run
 from bench.machines import RATE, SETTLED, make_moving_stage
 from bench.timing import measure_alternately
@@ -101,25 +102,3 @@ def make_stepping_work(stage: Stage) -> tuple[Callable[[], None], Callable[[], N
     """
     start = stage.snapshot()
     return lambda: stage.restore(start), lambda: stage.step(STEPS)
-
-
-def make_running_work(make: Any, begin: Callable[[Any], Any], clocks: int, traced: bool) -> tuple[Any, Any]:
-    """Make a work in which a chip is started again before each call and then advances or is traced.
-
-    Args:
-        make: Class of the chip.
-        begin: Function that starts it.
-        clocks: Clocks of a call.
-        traced: Whether pulses are stored.
-
-    Returns:
-        Preparation and work.
-    """
-    chip = make()
-    fresh = chip.snapshot()
-
-    def prepare() -> None:
-        chip.restore(fresh)
-        begin(chip)
-
-    return prepare, lambda: chip.trace(clocks) if traced else chip.advance(clocks)

@@ -31,9 +31,9 @@ class Work:
         self.calls = self.steps = self.done = 0
         self.budget: int | None = None
 
-    def spend(self, n: int = 1) -> None:
-        """Count `n` more events of this input, and raise Enough beyond its budget."""
-        self.done += n
+    def spend(self) -> None:
+        """Count an event of this input, and raise Enough beyond its budget."""
+        self.done += 1
         if self.budget is not None and self.done > self.budget:
             raise Enough
 

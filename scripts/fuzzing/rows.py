@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -98,10 +96,3 @@ def to_lists(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return int(value) if isinstance(value, bool) else value
-
-
-def has_only_finite_values(table: Any) -> bool:
-    """Return whether no number of a table is infinite or NaN."""
-    if isinstance(table, np.ndarray):
-        return bool(np.isfinite(table).all())
-    return all(map(math.isfinite, chain.from_iterable(table)))

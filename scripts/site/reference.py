@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.chips import CHIPS
-from stage.chips.register_map import Register, RegisterMap, Word
+from stage.chips.register_map import Register, RegisterMap
 from stage.cli import build_parser
 
 PACKAGES = [
@@ -91,16 +91,12 @@ def format_register_map_page(map_: RegisterMap) -> str:
     ]
     for place in map_.places:
         if place.fields:
-            text += [f"\n### {place.name}\n", _escape_cell(_format_title(place)) + "\n"]
+            text += [f"\n### {place.name}\n", _escape_cell(place.description) + "\n"]
             text += ["| bits | field | evidence | |", "|---|---|---|---|"]
             text += [f"| {f.bits} | `{f.name}` | {f.evidence} | {_escape_cell(f.description)} |" for f in place.fields]
     text += ["\n## Commands\n", "| code | command | evidence | |", "|---|---|---|---|"]
     text += [f"| {c.hex} | `{c.symbol}` | {c.evidence} | {_escape_cell(c.description)} |" for c in map_.commands]
     return "\n".join(text) + "\n"
-
-
-def _format_title(place: Register | Word) -> str:
-    return place.description
 
 
 def _format_legal_values(r: Register) -> str:
