@@ -5,22 +5,25 @@ BIN := .venv/bin
 PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/test_fleet.py tests/recording tests/envs tests/test_docs.py
 # What needs a compiler of C or of native libraries, an emulated processor or an AVR toolchain. Plain pytest leaves it out: collect_ignore of tests/conftest.py
 FIRMWARE := tests/board tests/firmware_c tests/targets tests/native/test_native_library.py tests/test_tutorials.py tests/testing/test_host_serial.py tests/testing/test_many.py tests/testing/test_plugin.py
+# What serves a stage to other programs and people. Plain pytest leaves it out, too
+SERVERS := tests/panel tests/agents tests/serve
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs wheel notebooks tutorials packages test test-firmware test-ioc quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench headline pictures clean help
+.PHONY: ci demo docs wheel notebooks tutorials packages test test-firmware test-servers test-ioc quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench headline pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
-	@echo "make test       the everyday test suite: chips, stage, procedures, environments, recordings, panel, commands"
+	@echo "make test       the everyday test suite: chips, stage, procedures, environments, recordings, commands"
 	@echo "make test-firmware  the board and programs on it: C and C++ (a compiler), emulated processors (extra targets, simavr), the pytest plugin, tutorials, builds of native libraries"
+	@echo "make test-servers   the panel, the tools of agents (MCP), stage serve"
 	@echo "make test-ioc   stage ioc with clients of EPICS (extra epics-clients)"
 	@echo "make quick      the tests nearest to what differs from SINCE=origin/main, under 20 seconds"
 	@echo "make packages   install the distributions of packages/ in .venv, editable"
 	@echo "make test-packages  their tests"
 	@echo "make test-slow  the long checks"
 	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
-	@echo "make test-oldest                make test and make test-firmware with the oldest of every dependency, in build/oldest"
+	@echo "make test-oldest                make test, test-firmware and test-servers with the oldest of every dependency, in build/oldest"
 	@echo "make test-small                 what rerun has to do with, without it, in build/small"
 	@echo "make test-libraries             what needs libraries for reinforcement learning, with all of them, in build/libraries"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
@@ -60,6 +63,9 @@ test: .venv/.dev
 test-firmware: .venv/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(FIRMWARE)
 
+test-servers: .venv/.dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(SERVERS)
+
 quick: .venv/.dev
 	$(BIN)/python scripts/quick.py $(if $(SINCE),--since $(SINCE))
 
@@ -83,7 +89,7 @@ test-ioc: .venv/.ioc
 
 test-slow: .venv/.packages .venv/.ioc
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow'
-	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' $(FIRMWARE) tests/ioc
+	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' $(FIRMWARE) $(SERVERS) tests/ioc
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' packages
 	PULSESTAGE_EXAMPLES=1500 $(BIN)/python -m pytest -n 2 tests/chips
 
@@ -97,7 +103,7 @@ test-oldest:
 	build/oldest/bin/python -m pip install -q --upgrade pip
 	build/oldest/bin/python -m pip install -q -e '.[test]' $$($(PYTHON) -c "$$OLDEST")
 	build/oldest/bin/python -m pytest -n 2 --dist worksteal
-	build/oldest/bin/python -m pytest -n 2 --dist worksteal $(FIRMWARE)
+	build/oldest/bin/python -m pytest -n 2 --dist worksteal $(FIRMWARE) $(SERVERS)
 
 define OLDEST
 import re, tomllib
@@ -182,7 +188,7 @@ lint: .venv/.dev
 	cd build/types && $(CURDIR)/$(BIN)/lint-imports --no-logo --cache-dir=../import_cache ../../pyproject.toml
 	$(BIN)/mypy $(TYPES) packages/registerbench/registerbench
 
-ci: lint test test-firmware test-packages coverage
+ci: lint test test-firmware test-servers test-packages coverage
 
 bench: .venv/.dev
 	$(BIN)/python scripts/benchmark.py --markdown docs/performance.md --picture docs/pictures/performance.png

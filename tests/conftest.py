@@ -23,6 +23,7 @@ sys.dont_write_bytecode = (
 collect_ignore = [  # by plain `pytest` and `make test`
     *("board", "firmware_c", "targets", "native/test_native_library.py", "test_tutorials.py"),  # `make test-firmware`
     *("testing/test_host_serial.py", "testing/test_many.py", "testing/test_plugin.py"),
+    *("panel", "agents", "serve"),  # `make test-servers`
     "ioc",  # `make test-ioc`
 ]
 BACKWARDS = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 2 == 1

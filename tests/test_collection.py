@@ -84,11 +84,11 @@ def test_another_target_of_make_and_of_ci_runs_each_test_that_pytest_leaves_out_
     conftest = pytestconfig.pluginmanager.get_plugin(str(ROOT / "tests/conftest.py"))
     left_out = {f"tests/{name}" for name in conftest.collect_ignore}
     makefile, ci = (ROOT / "Makefile").read_text(), (ROOT / ".ci/run").read_text()
-    firmware = set(re.search(r"^FIRMWARE := (.*)", makefile, re.M)[1].split())
     recipes = dict(re.findall(r"^(test-\w+): .*\n\t.* --dist worksteal (.*)", makefile, re.M))
-    assert recipes["test-firmware"] == "$(FIRMWARE)"
-    assert firmware | {recipes["test-ioc"]} == left_out
-    assert {"make test", "make test-firmware", "make test-ioc"} <= set(ci.splitlines())
+    targets = ("test-firmware", "test-servers", "test-ioc")
+    variables = {f"$({name})": files for name, files in re.findall(r"^(FIRMWARE|SERVERS) := (.*)", makefile, re.M)}
+    assert {file for target in targets for file in variables.get(recipes[target], recipes[target]).split()} == left_out
+    assert {"make test", *(f"make {target}" for target in targets)} <= set(ci.splitlines())
     assert all((ROOT / name).exists() for name in left_out)
 
 
