@@ -96,10 +96,11 @@ def _widen_error_range(demanded, row, work, end, low_error, high_error):
 
     Before the follower's first pulse only a positive E counts.
     """
-    bent, m, motion = has_s_curve_ramps(row), 8192.0 * row[7], work.motion
+    bent, m = has_s_curve_ramps(row), 8192.0 * row[7]
+    motion, clock_hz, lead = work.motion, work.clock_hz, work.lead
     for k in range(demanded.shape[1]):
         if demanded[0, k] <= end:
-            ticks = max((demanded[0, k] + work.lead) * work.clock_hz, 0.0)
+            ticks = max((demanded[0, k] + lead) * clock_hz, 0.0)
             n = (compute_s_curve_phase(row, motion, ticks) if bent else compute_linear_phase(row, motion, ticks)) / m
             e = n - demanded[1, k]
             if n >= 1.0:
