@@ -84,13 +84,11 @@ def exchange_wire_words(chips, link_number, now_ns, edges, edge_count):
             core_interface.set_wire_word(chip, word)
             if edge_count < len(edges):
                 e = edges[edge_count]
-                e.now, e.clock, e.axis, e.kind, e.a = (
-                    now_ns,
-                    core_interface.read_clock(chip),
-                    core_interface.find_stage_axis(chip, 0),
-                    WIRES,
-                    word,
-                )
+                e.now = now_ns
+                e.clock = core_interface.read_clock(chip)
+                e.axis = core_interface.find_stage_axis(chip, 0)
+                e.kind = WIRES
+                e.a = word
                 edge_count += 1
         if quiet:
             break

@@ -366,11 +366,9 @@ class Drive:
     def fill_record(self, record: Any) -> None:
         """Write the parameters into a DRIVE record; the state in the record stays."""
         m = self.motor
-        record.resistance, record.inductance, record.torque_constant = (
-            m.resistance,
-            m.phase_inductance,
-            m.torque_constant,
-        )
+        record.resistance = m.resistance
+        record.inductance = m.phase_inductance
+        record.torque_constant = m.torque_constant
         record.detent, record.teeth, record.voltage = self.detent_torque, m.rotor_teeth, self.bus_voltage
         record.current, record.per_pulse, record.mode = self.amplitude, self.per_pulse, MODES[self.mode]
         record.open, record.slice = 0, 0.0

@@ -135,11 +135,9 @@ def decode_changes(text, position, codes, bits, out, summary):
                 level = _find_bit_level(text, value, value_end, bits[i]) if codes[i] == code else -1
                 if level >= 0:
                     if summary.n < len(out):
-                        out[summary.n].time, out[summary.n].signal, out[summary.n].level = (
-                            summary.end if summary.end > 0 else 0,
-                            i,
-                            level,
-                        )
+                        out[summary.n].time = summary.end if summary.end > 0 else 0
+                        out[summary.n].signal = i
+                        out[summary.n].level = level
                     summary.n += 1
         else:
             summary.wrong = position

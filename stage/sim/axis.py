@@ -361,10 +361,8 @@ def format_axes_table(axes: Iterable[Axis]) -> str:
     """Format axes as an HTML table with a row for each."""
     rows = []
     for a in axes:
-        place, on = (
-            POSITION_UNITS[a.unit].format,
-            ", ".join(name for name, state in a.switches.as_dict().items() if state),
-        )
+        place = POSITION_UNITS[a.unit].format
+        on = ", ".join(name for name, state in a.switches.as_dict().items() if state)
         rows.append(
             (
                 a.name,

@@ -42,10 +42,8 @@ of an OBSERVED_AXIS for each axis; address, room and number of SWITCH_EDGE recor
 def _store_switch_edges(handle, player, first_entry):
     """Store the switch edges that the engine has logged, from entry `first_entry` of its log on; `player` is a PIN_EDGE_PLAYER."""
     entries = array_at(handle.edges, handle.edge_room, LOGGED_EDGE)
-    axes, switch_edges = (
-        array_at(player.axes, handle.n_axes, OBSERVED_AXIS),
-        array_at(player.switch_edges, player.room, SWITCH_EDGE),
-    )
+    axes = array_at(player.axes, handle.n_axes, OBSERVED_AXIS)
+    switch_edges = array_at(player.switch_edges, player.room, SWITCH_EDGE)
     for k in range(first_entry, handle.noted):
         e = entries[k]
         if e.kind != INPUT:

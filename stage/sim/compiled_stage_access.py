@@ -77,10 +77,8 @@ def _make_record_accessor(name: str, dtype: np.dtype) -> Any:
 
 
 get_world, get_clockwork = _make_record_accessor("world", WORLD), _make_record_accessor("clockwork", CLOCKWORK)
-get_chip_table, get_axis_table = (
-    _make_array_accessor("chips", "n_chips", CHIP_ROW),
-    _make_array_accessor("table", "n_axes", AXIS_ROW),
-)
+get_chip_table = _make_array_accessor("chips", "n_chips", CHIP_ROW)
+get_axis_table = _make_array_accessor("table", "n_axes", AXIS_ROW)
 get_axes, get_drives = _make_array_accessor("axes", "n_axes", AXIS), _make_array_accessor("drives", "n_axes", DRIVE)
 get_switches = _make_array_accessor("switches", "n_switches", SWITCH)
 get_switch_table = _make_array_accessor("switch_table", "n_switches", SWITCH_ROW)
@@ -111,14 +109,12 @@ def log_edge(handle, now_ns, chip, axis, kind, first_number, second_number):
         The EDGE record.
     """
     e = array_at(handle.edges, handle.edge_room, engine_records.LOGGED_EDGE)[handle.noted]
-    e.now, e.clock, e.axis, e.kind, e.a, e.b = (
-        now_ns,
-        core_interface.read_clock(chip),
-        axis,
-        kind,
-        first_number,
-        second_number,
-    )
+    e.now = now_ns
+    e.clock = core_interface.read_clock(chip)
+    e.axis = axis
+    e.kind = kind
+    e.a = first_number
+    e.b = second_number
     handle.noted += 1
     return e
 
@@ -157,11 +153,9 @@ def fill_handle(handles: np.ndarray, index: int, state: State) -> None:
     )  # fmt: skip
     for name, array in zip(_ARRAY_FIELDS, held, strict=True):
         handle[name] = array.ctypes.data
-    handle["n_axes"], handle["n_switches"], handle["n_chips"] = (
-        len(state.axis_table),
-        len(state.switch_table),
-        len(state.chip_table),
-    )
+    handle["n_axes"] = len(state.axis_table)
+    handle["n_switches"] = len(state.switch_table)
+    handle["n_chips"] = len(state.chip_table)
     handle["nq"], handle["nv"], handle["nu"], handle["ns"] = model.nq, model.nv, model.nu, model.nsensordata
     handle["n_sites"], handle["n_bodies"] = model.nsite, model.nbody
     handle["bus"] = state.bus

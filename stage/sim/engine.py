@@ -133,12 +133,10 @@ def _is_first_linked_chip(rows, chip_index):
 @hot
 def _run_linked_chips(handle, first_chip, stop_ns):
     """Run the chips that are linked to the first one, as `_run_chips` does. An edge of one chip acts on all at its clock."""
-    w, rows, axis_records, edges = (
-        get_world(handle),
-        get_chip_table(handle),
-        get_axes(handle),
-        array_at(handle.edges, handle.edge_room, LOGGED_EDGE),
-    )
+    w = get_world(handle)
+    rows = get_chip_table(handle)
+    axis_records = get_axes(handle)
+    edges = array_at(handle.edges, handle.edge_room, LOGGED_EDGE)
     start, dt, link, hz = w.start, get_clockwork(handle).dt, rows[first_chip].link, rows[first_chip].hz
     k, now = w.slice, 0
     while now < stop_ns:
@@ -231,10 +229,8 @@ def _write_axis_sample(handle, axis_index, effort, sample):
     sample.time = get_world(handle).now / NS_PER_SECOND
     sample.position, sample.velocity = q, v
     sample.commanded = q + drive_dispatch.compute_lag(d, net, theta) / t.gear
-    sample.load_angle, sample.torque = (
-        stepper.compute_load_angle(d, net, theta),
-        drive_dispatch.compute_torque(d, effort),
-    )
+    sample.load_angle = stepper.compute_load_angle(d, net, theta)
+    sample.torque = drive_dispatch.compute_torque(d, effort)
     sample.voltage = drive_dispatch.compute_voltage(d, effort)
     sample.current_a, sample.current_b = d.current_a, d.current_b
     sample.rate = core_interface.read_pulse_rate(chip, j, chip.hz)
@@ -258,13 +254,11 @@ def _write_samples(handle, ctrl):
 @hot
 def _run_until(handle, until_ns):
     """Let the stage's time pass up to `until_ns`, and return why the run ended (REACHED, ...)."""
-    w, clock, axis_records, table, rows = (
-        get_world(handle),
-        get_clockwork(handle),
-        get_axes(handle),
-        get_axis_table(handle),
-        get_drives(handle),
-    )
+    w = get_world(handle)
+    clock = get_clockwork(handle)
+    axis_records = get_axes(handle)
+    table = get_axis_table(handle)
+    rows = get_drives(handle)
     positions, speeds = get_qpos(handle), get_qvel(handle)
     ctrl, inertia = array_at(handle.ctrl, handle.nu, REAL), array_at(handle.inertia, handle.nv, REAL)
     accelerations, damping = array_at(handle.accelerations, handle.nv, REAL), array_at(handle.damping, handle.nv, REAL)

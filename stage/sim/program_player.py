@@ -121,10 +121,8 @@ def _measure_extremes(handle, end_ns, point, extremes):
     Returns:
         Status of `_advance_unless_halted`; travel of the point, pm."""
     w, dt, positions = get_world(handle), get_clockwork(handle).dt, get_qpos(handle)
-    sites, bodies = (
-        array_at(handle.sites, (handle.n_sites, 3), REAL),
-        array_at(handle.bodies, (handle.n_bodies, 3), REAL),
-    )
+    sites = array_at(handle.sites, (handle.n_sites, 3), REAL)
+    bodies = array_at(handle.bodies, (handle.n_bodies, 3), REAL)
     x0 = y0 = z0 = math.inf
     x1 = y1 = z1 = -math.inf
     while w.now < end_ns:
@@ -173,10 +171,8 @@ def play_program(handle, ops, results, extremes):
         elif kind == WAIT:
             bad = _advance_unless_halted(handle, w.now + a)
         elif kind == SAMPLE_POSITION and b:
-            sites, bodies = (
-                array_at(handle.sites, (handle.n_sites, 3), REAL),
-                array_at(handle.bodies, (handle.n_bodies, 3), REAL),
-            )
+            sites = array_at(handle.sites, (handle.n_sites, 3), REAL)
+            bodies = array_at(handle.bodies, (handle.n_bodies, 3), REAL)
             at = sites[b - 1] if b > 0 else bodies[-b]
             results[j] = math.floor(at[c] * 1e12)
         elif kind == SAMPLE_POSITION:
@@ -239,16 +235,12 @@ def inspect_axis(world, chip, axis_row, drive, clockwork, qpos, qvel, truth):
     truth.now, truth.position, truth.velocity = world.now, q, v
     truth.commanded = q + drive_dispatch.compute_lag(drive, float(net), theta) / axis_row.gear
     truth.lost_steps = drive_dispatch.count_lost_steps(drive, float(net), theta)
-    truth.pulses, truth.counter, truth.inputs = (
-        net,
-        core_interface.read_counter(chip, j),
-        core_interface.read_inputs(chip, j),
-    )
-    truth.outputs, truth.status, truth.busy = (
-        core_interface.read_outputs(chip, j),
-        core_interface.read_status(chip, j),
-        1 if core_interface.is_busy(chip, j) else 0,
-    )
+    truth.pulses = net
+    truth.counter = core_interface.read_counter(chip, j)
+    truth.inputs = core_interface.read_inputs(chip, j)
+    truth.outputs = core_interface.read_outputs(chip, j)
+    truth.status = core_interface.read_status(chip, j)
+    truth.busy = 1 if core_interface.is_busy(chip, j) else 0
 
 
 @exported(None, array_of(HANDLE), "i8", "i8", array_of(TRUTH, 2))
@@ -357,10 +349,8 @@ class _OperationRunner:
             np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
             np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
             if point:
-                low, high = (
-                    np.minimum(low, self._find_point_position(point)),
-                    np.maximum(high, self._find_point_position(point)),
-                )
+                low = np.minimum(low, self._find_point_position(point))
+                high = np.maximum(high, self._find_point_position(point))
         x, y, z = (high - low).tolist()
         return int(math.sqrt(x**2 + y**2 + z**2) * 1e12) if x >= 0 else 0
 

@@ -170,18 +170,14 @@ class State:
     def _set_engine_constants(self, encoders: int) -> None:
         """Fill the CLOCKWORK record: durations, counts, and the addresses of MuJoCo's functions."""
         w, dt = self.clockwork[0], self.dt
-        w.mj_step, w.mj_get_state = (
-            mujoco_function_addresses.find_mujoco_address("mj_step"),
-            mujoco_function_addresses.find_mujoco_address("mj_getState"),
-        )
+        w.mj_step = mujoco_function_addresses.find_mujoco_address("mj_step")
+        w.mj_get_state = mujoco_function_addresses.find_mujoco_address("mj_getState")
         w.state_spec, w.encoders = int(SAVED_STATE_SPEC), encoders
-        w.dt, w.slices, w.h, w.half, w.nv = (
-            dt,
-            engine_records.SLICES,
-            dt * 1e-9 / engine_records.SLICES,
-            dt * 0.5e-9,
-            self.model.nv,
-        )
+        w.dt = dt
+        w.slices = engine_records.SLICES
+        w.h = dt * 1e-9 / engine_records.SLICES
+        w.half = dt * 0.5e-9
+        w.nv = self.model.nv
         w.callbacks, w.native = mujoco_callback_guards.CALLBACK_ADDRESSES, mujoco_callback_guards.NATIVE_CALLBACKS
 
     def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:

@@ -239,13 +239,11 @@ def write_present_edge(chip, axis_index, edges, edge_index):
         edge_index: Number of the record.
     """
     e = edges[edge_index]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = (
-        chip.clock,
-        chip.inputs,
-        read_outputs(chip, 0),
-        read_counter(chip, 0),
-        read_net_count(chip, 0),
-    )
+    e.clock = chip.clock
+    e.inputs = chip.inputs
+    e.outputs = read_outputs(chip, 0)
+    e.counter = read_counter(chip, 0)
+    e.net = read_net_count(chip, 0)
     e.command, e.motor, e.rate = chip.command, chip.motor_command, read_pulse_rate(chip, 0, 1.0)
 
 
@@ -279,12 +277,10 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
     k = 0
     watched = ALL_OUTPUTS if every_pulse else ALL_OUTPUTS & ~state.PULSE_ON
     while chip.clock < until and k < len(edges) - EDGE_MARGIN:
-        word, rate, command, drive = (
-            read_outputs(chip, 0),
-            read_pulse_rate(chip, 0, 1.0),
-            chip.command,
-            chip.motor_command,
-        )
+        word = read_outputs(chip, 0)
+        rate = read_pulse_rate(chip, 0, 1.0)
+        command = chip.command
+        drive = chip.motor_command
         run(chip, _find_next_pin_change(chip, until, every_pulse))
         changed = (read_outputs(chip, 0) ^ word) & watched or read_pulse_rate(chip, 0, 1.0) != rate
         if changed or (every_pulse and (chip.command != command or chip.motor_command != drive)):

@@ -154,11 +154,9 @@ def _lint_timer(timer: int, mode: int) -> Iterator[Finding]:
 def _lint_commutator(chip: Any) -> Iterator[Finding]:
     """Check that the registers of the HCTL-1100's commutator agree with each other."""
     reg = chip["reg"]
-    ring, offset, max_advance = (
-        int(reg[maps.RING]),
-        state.to_signed(int(reg[maps.OFFSET]), 8),
-        int(reg[maps.MAX_ADVANCE]),
-    )
+    ring = int(reg[maps.RING])
+    offset = state.to_signed(int(reg[maps.OFFSET]), 8)
+    max_advance = int(reg[maps.MAX_ADVANCE])
     phases = 4 if chip["status"] & state.FOUR else 3
     if ring and phases * (int(reg[maps.X]) + int(reg[maps.Y])) != ring:
         message = f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[maps.X]} + {reg[maps.Y]})"

@@ -511,11 +511,9 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
     axis = chip.ax[axis_index]
     off = find_pulse_end(axis)
     while chip.clock < until and k < len(edges) - SPARE_EDGE_RECORDS:
-        before, net_before, pins_before = (
-            _compute_watched_outputs(chip, axis_index, every_pulse, off),
-            axis.net,
-            axis.inputs,
-        )
+        before = _compute_watched_outputs(chip, axis_index, every_pulse, off)
+        net_before = axis.net
+        pins_before = axis.inputs
         rate = read_pulse_rate(chip, axis_index, 1.0)
         stop = find_scan_stop(chip, axis_index, every_pulse, off, least(until, chip.quiet_until))
         if every_pulse and chip.interpolating:

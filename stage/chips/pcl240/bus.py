@@ -111,10 +111,8 @@ def write_byte(chip, address, value):
         chip.origin_return, chip.sd_enable = 1 if value & state.ORIGIN else 0, 1 if value & state.SD else 0
         chip.preset, chip.minus = 1 if value & state.PRESET else 0, 1 if value & state.MINUS else 0
         if chip.extended:
-            chip.automatic_ramp_down, chip.counts_position = (
-                1 if value & state.AUTOMATIC else 0,
-                1 if value & state.POSITION else 0,
-            )
+            chip.automatic_ramp_down = 1 if value & state.AUTOMATIC else 0
+            chip.counts_position = 1 if value & state.POSITION else 0
     elif group == SELECT:
         chip.selected_register = value & state.REGISTER
         if chip.extended:

@@ -275,10 +275,8 @@ def _lint_registers(chip: Any, registers: list[int], value: int) -> Iterator[Fin
 
 def _lint_triangle(chip: Any, registers: list[int], value: int, predictions: EffectPredictors) -> Iterator[Finding]:
     """Find an S-curve move that is too short for its FH, which the chip does not correct, and which stops above FL."""
-    fh, corrected = (
-        _FH_REGISTER_BY_SPEED.get(value & SPEED),
-        chip["automatic_ramp_down"] and not registers[R14] & UNCORRECTED,
-    )
+    fh = _FH_REGISTER_BY_SPEED.get(value & SPEED)
+    corrected = chip["automatic_ramp_down"] and not registers[R14] & UNCORRECTED
     if (
         not fh
         or not chip["s_curves"]
@@ -288,11 +286,9 @@ def _lint_triangle(chip: Any, registers: list[int], value: int, predictions: Eff
         or registers[fh] <= registers[1]
     ):
         return
-    height, rate, multiplier = (
-        registers[fh] - registers[1],
-        registers[4 if chip["automatic_ramp_down"] else 5],
-        int(chip["multiplier"]),
-    )
+    height = registers[fh] - registers[1]
+    rate = registers[4 if chip["automatic_ramp_down"] else 5]
+    multiplier = int(chip["multiplier"])
     up, down = (s if 0 < 2 * s < height else height / 2 for s in (registers[R14] & SPAN, registers[R15] & SPAN))
     ramps = (height + 2 * up) * registers[4] + (height + 2 * down) * rate
     if registers[0] * 32768 * multiplier > (registers[1] + registers[fh]) * ramps:

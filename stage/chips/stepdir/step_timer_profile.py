@@ -96,11 +96,9 @@ def plan_move(chip):
 @hot
 def plan_stop(chip):
     """Replace the rest of the profile by the ramp down from the present rate to START."""
-    seconds, rate, position = (
-        float(chip.clock - chip.started) / chip.hz,
-        compute_present_rate(chip),
-        compute_present_position(chip),
-    )
+    seconds = float(chip.clock - chip.started) / chip.hz
+    rate = compute_present_rate(chip)
+    position = compute_present_position(chip)
     top, low = float(chip.reg[RATE]), float(chip.reg[START])
     down = 1e-6 * chip.reg[RAMP_DOWN] * (rate - low) / (top - low) if low < top else 0.0
     started = chip.started

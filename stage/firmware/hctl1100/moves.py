@@ -203,10 +203,8 @@ def start_trapezoid(port: ChipPort, counts: int, velocity: float, acceleration: 
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
     """
-    v, a = (
-        convert_velocity_to_register(port, velocity, "maximum_velocity", 1),
-        convert_acceleration_to_register(port, acceleration),
-    )
+    v = convert_velocity_to_register(port, velocity, "maximum_velocity", 1)
+    a = convert_acceleration_to_register(port, acceleration)
     port.write_quantities(final_position=port.read_command_position() + counts, acceleration=a, maximum_velocity=v)
     begin = port.axis.time
     port.set_control_mode("trapezoid")
@@ -371,10 +369,8 @@ def start_integral_velocity_mode(port: ChipPort, rate: float, acceleration: floa
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
     """
-    word, a = (
-        convert_velocity_to_register(port, rate, "integral_velocity", 1),
-        convert_acceleration_to_register(port, acceleration),
-    )
+    word = convert_velocity_to_register(port, rate, "integral_velocity", 1)
+    a = convert_acceleration_to_register(port, acceleration)
     port.clear_status()
     port.write_quantities(acceleration=a, integral_velocity=0)
     port.set_control_mode("integral velocity")

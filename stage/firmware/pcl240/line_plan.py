@@ -385,11 +385,9 @@ def _check_multipliers(
     for name, d in moving.items():
         r7 = received_multipliers.get(name, 0)
         if r7 > 0:
-            rate, max_rate, least = (
-                move.fh * abs(d) / move.length,
-                clocks_hz[name] * MAX_SPEED / (8192 * r7),
-                clocks_hz[name] / (8192 * r7),
-            )
+            rate = move.fh * abs(d) / move.length
+            max_rate = clocks_hz[name] * MAX_SPEED / (8192 * r7)
+            least = clocks_hz[name] / (8192 * r7)
             if not least <= rate <= max_rate:
                 raise ArgumentError(
                     f"axis {name} would have to run at {rate:.4g} pps, and with R7 = {r7}, which it hears at SYNI, it makes "

@@ -118,11 +118,9 @@ def update_extremes(host, extremes, qpos, sites, bodies, copy, point):
     for k in range(qpos.shape[0]):
         extremes[k, 0], extremes[k, 1] = min(extremes[k, 0], float(qpos[k])), max(extremes[k, 1], float(qpos[k]))
     if point:
-        x, y, z = (
-            read_point_coordinate(sites, bodies, copy, point, 0),
-            read_point_coordinate(sites, bodies, copy, point, 1),
-            read_point_coordinate(sites, bodies, copy, point, 2),
-        )
+        x = read_point_coordinate(sites, bodies, copy, point, 0)
+        y = read_point_coordinate(sites, bodies, copy, point, 1)
+        z = read_point_coordinate(sites, bodies, copy, point, 2)
         host.x0, host.y0, host.z0 = min(host.x0, x), min(host.y0, y), min(host.z0, z)
         host.x1, host.y1, host.z1 = max(host.x1, x), max(host.y1, y), max(host.z1, z)
 
@@ -219,22 +217,18 @@ def advance_lanes(
     thread = get_thread_number()
     in_warp = thread % THREADS_PER_WARP
     group = in_warp // LANES
-    copy, lane, first = (
-        thread // THREADS_PER_WARP * (THREADS_PER_WARP // LANES) + group,
-        in_warp - group * LANES,
-        group * LANES,
-    )
+    copy = thread // THREADS_PER_WARP * (THREADS_PER_WARP // LANES) + group
+    lane = in_warp - group * LANES
+    first = group * LANES
     in_use = copy < qpos.shape[0] and group < THREADS_PER_WARP // LANES
     if not in_use:  # it takes part in the votes of its warp
         copy = lane = 0
     clockwork = clockworks[0]
     dt = clockwork.dt
     chip_records, axes, drives = cuda.local.array(1, STATE), cuda.local.array(AXES, AXIS), cuda.local.array(AXES, DRIVE)
-    switches, world_records, host_records = (
-        cuda.local.array(SWITCHES, SWITCH),
-        cuda.local.array(1, STAGE_TIME),
-        cuda.local.array(1, PROGRAM_STATE),
-    )
+    switches = cuda.local.array(SWITCHES, SWITCH)
+    world_records = cuda.local.array(1, STAGE_TIME)
+    host_records = cuda.local.array(1, PROGRAM_STATE)
     if in_use:
         load_records(view_as_words(chip_records, W_STATE), words, 0, thread)
         load_records(view_as_words(axes, W_AXES), words, W_STATE, thread)
@@ -381,11 +375,9 @@ def inspect_lanes(words, rows, axis_numbers, tables, clockworks, qpos, qvel, tru
     copy, lane = thread // THREADS_PER_WARP * (THREADS_PER_WARP // LANES) + group, in_warp - group * LANES
     if copy >= qpos.shape[0] or group >= THREADS_PER_WARP // LANES:
         return
-    chip_records, drives, world_records = (
-        cuda.local.array(1, STATE),
-        cuda.local.array(AXES, DRIVE),
-        cuda.local.array(1, STAGE_TIME),
-    )
+    chip_records = cuda.local.array(1, STATE)
+    drives = cuda.local.array(AXES, DRIVE)
+    world_records = cuda.local.array(1, STAGE_TIME)
     load_records(view_as_words(chip_records, W_STATE), words, 0, thread)
     load_records(view_as_words(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
     load_records(view_as_words(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)

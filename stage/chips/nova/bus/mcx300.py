@@ -38,10 +38,8 @@ HM_CODE, HV_CODE, HOME, DCC = MAP.command_codes("HM", "HV", "HOME_EXEC", "DEVCTR
 DRIVES, FAILS, HOMES = (1 << MCX304_MAP.bit("RR0", n) for n in ("n-DRV", "n-ERR", "n-HOM"))  # of X
 CMP_PLUS, CMP_MINUS = MAP.masks("RR1", "CMP+", "CMP-")
 FIRST_PHASE = MAP.bit("RR1", "ASND")
-BY_STOPS, BY_OTHERS = (
-    sum(MAP.masks("RR1", "STOP0", "STOP1", "STOP2")),
-    sum(MAP.masks("RR1", "LMT+", "LMT-", "ALARM", "EMG")),
-)
+BY_STOPS = sum(MAP.masks("RR1", "STOP0", "STOP1", "STOP2"))
+BY_OTHERS = sum(MAP.masks("RR1", "LMT+", "LMT-", "ALARM", "EMG"))
 """Causes of the last stop; of the MCX514, whose bits `causes` holds, those of STOP0 to STOP2 are one bit higher."""
 HOME_ERROR, HMST = MAP.mask("RR2", "HOME"), MAP.bit("RR2", "HMST")
 CONSTANT_END, CONSTANT_START, DRIVE_END, HOME_END = MAP.masks("RR3", "C-END", "C-STA", "D-END", "HMEND")

@@ -30,11 +30,9 @@ def _read_compared_source(axis, set_index):
 @hot
 def _is_comparison_true(chip, axis, set_index):
     """Return whether the comparison with register MR `set_index` is true."""
-    kind, condition, than = (
-        _read_compared_source(axis, set_index),
-        axis.mode[MRM] >> 4 * set_index + 2 & 3,
-        axis.reg[MR0 + set_index],
-    )
+    kind = _read_compared_source(axis, set_index)
+    condition = axis.mode[MRM] >> 4 * set_index + 2 & 3
+    than = axis.reg[MR0 + set_index]
     if kind == AT_LP:
         value = axis.reg[LP]
     elif kind == AT_RP:

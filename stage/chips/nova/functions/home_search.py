@@ -58,20 +58,16 @@ STEP_DIRECTION_MASKS = (
     (_find_h1m_mask("S1DR"), _find_h1m_mask("S2DR"), _find_h1m_mask("S3DR"), 0),
 )
 S1G, S2SG = MCX514_MAP.bit("H1M", "S1G"), _find_h1m_mask("S2SG")
-AFTER_2, AFTER_3 = (
-    (_find_h1m_mask("S2DC"), _find_h1m_mask("S2RC"), _find_h1m_mask("S2LC")),
-    (_find_h1m_mask("S3DC"), _find_h1m_mask("S3RC"), _find_h1m_mask("S3LC")),
-)
+AFTER_2 = (_find_h1m_mask("S2DC"), _find_h1m_mask("S2RC"), _find_h1m_mask("S2LC"))
+AFTER_3 = (_find_h1m_mask("S3DC"), _find_h1m_mask("S3RC"), _find_h1m_mask("S3LC"))
 """Mode bits after step 2 and after step 3 of the search: assert DCC, clear RP, clear LP."""
 SAND, LCLR, RCLR, HTME = _find_h2m_mask("SAND"), _find_h2m_mask("LCLR"), _find_h2m_mask("RCLR"), _find_h2m_mask("HTME")
 HTM = MCX514_MAP.bit("H2M", "HTM")
 CLOCKS_PER_MS = 16_000
-LIMIT_304, SAND_304, PCLR, DCC_E = (
-    _find_hm_mask("LIMIT"),
-    _find_hm_mask("SAND"),
-    _find_hm_mask("PCLR"),
-    _find_hm_mask("DCC-E"),
-)
+LIMIT_304 = _find_hm_mask("LIMIT")
+SAND_304 = _find_hm_mask("SAND")
+PCLR = _find_hm_mask("PCLR")
+DCC_E = _find_hm_mask("DCC-E")
 
 
 @hot
@@ -260,9 +256,9 @@ def _begin_search_step(chip, axis, search_step):
             _request_drive(axis, SEARCH_Z, _find_step_direction(chip, axis, 3), 1)
     elif search_step <= 4 and mode & enabled[3]:
         axis.home_state, axis.drives_at_hv, axis.absolute, axis.pulse_sign = OFFSET, 0, 0, 1
-        axis.launch_direction, axis.launch_pulses = (
-            _find_step_direction(chip, axis, 4),
-            abs(axis.reg[state.TP]) if chip.variant == state.MCX514_TYPE else axis.reg[state.TP] & 0xFFFFFFFF,
+        axis.launch_direction = _find_step_direction(chip, axis, 4)
+        axis.launch_pulses = (
+            abs(axis.reg[state.TP]) if chip.variant == state.MCX514_TYPE else axis.reg[state.TP] & 0xFFFFFFFF
         )
     else:
         axis.home_state = OFFSET

@@ -60,10 +60,8 @@ def step_helix(interpolation, segment):
     interpolation.zone = o if segment.y_sign > 0 else 7 - o
     interpolation.steps[fast] = 1
     interpolation.steps[1 - fast] = circular.step_arc(a)
-    interpolation.directions[fast], interpolation.directions[1 - fast] = (
-        circular.FAST_DIRECTION[o],
-        circular.SLOW_DIRECTION[o],
-    )
+    interpolation.directions[fast] = circular.FAST_DIRECTION[o]
+    interpolation.directions[1 - fast] = circular.SLOW_DIRECTION[o]
     interpolation.directions[1] *= segment.y_sign
     for k in range(2, segment.axis_count):
         interpolation.line_errors[k] += 2 * abs(segment.finish[k]) * segment.inner_ticks

@@ -118,12 +118,10 @@ def prepare_axes(chip, axis_mask, main_axis, queue_depth, single_stepped):
         single_stepped: Whether a host command makes each tick.
     """
     interpolation = chip.ip
-    interpolation.axis_mask, interpolation.main_axis, interpolation.queue_depth, interpolation.single_stepped = (
-        axis_mask,
-        main_axis,
-        queue_depth,
-        single_stepped,
-    )
+    interpolation.axis_mask = axis_mask
+    interpolation.main_axis = main_axis
+    interpolation.queue_depth = queue_depth
+    interpolation.single_stepped = single_stepped
     interpolation.continuous = interpolation.waiting_segments = interpolation.stopping = 0
     for j in range(chip.axes):
         if interpolation.axis_mask >> j & 1:

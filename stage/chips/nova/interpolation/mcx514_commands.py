@@ -114,10 +114,8 @@ def _load_circle(chip, queued_segment, ipm, clockwise):
     queued_segment.vector_axes = least(queued_segment.vector_axes, 2)
     for k in range(2):
         axis = chip.ax[queued_segment.axis_numbers[k]]
-        queued_segment.finish[k], queued_segment.center[k] = (
-            to_coordinate(axis.reg[TP], queued_segment.inner_ticks),
-            to_coordinate(axis.reg[CP], queued_segment.inner_ticks),
-        )
+        queued_segment.finish[k] = to_coordinate(axis.reg[TP], queued_segment.inner_ticks)
+        queued_segment.center[k] = to_coordinate(axis.reg[CP], queued_segment.inner_ticks)
 
 
 @hot

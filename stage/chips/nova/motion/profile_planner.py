@@ -214,11 +214,9 @@ def _append_open_piece(axis, phase, acceleration, jerk):
         jerk: Jerk.
     """
     s = axis.pieces
-    t, place, v = (
-        dd.load_pair(axis.cursor[CURSOR_TIME]),
-        dd.load_pair(axis.cursor[CURSOR_PLACE]),
-        dd.load_pair(axis.cursor[CURSOR_SPEED]),
-    )
+    t = dd.load_pair(axis.cursor[CURSOR_TIME])
+    place = dd.load_pair(axis.cursor[CURSOR_PLACE])
+    v = dd.load_pair(axis.cursor[CURSOR_SPEED])
     dd.store_pair(axis.t[s], t)
     axis.from_clock[s] = -dd.floor(dd.add(dd.negate(t), (1e-15, 0.0)))
     axis.from_pulse[s] = dd.floor(place)
@@ -333,11 +331,9 @@ def compute_triangle_speed(axis, pulses):
         axis: State of the axis.
         pulses: Number of pulses of the drive.
     """
-    up, down, low = (
-        dd.load_pair(axis.acceleration),
-        dd.load_pair(axis.deceleration),
-        dd.load_pair(axis.sv),
-    )
+    up = dd.load_pair(axis.acceleration)
+    down = dd.load_pair(axis.deceleration)
+    low = dd.load_pair(axis.sv)
     square = dd.multiply(dd.to_double_double(pulses), dd.divide(dd.multiply(up, down), dd.add(up, down)))
     return dd.square_root(dd.add(dd.multiply(low, low), square))
 
@@ -374,10 +370,8 @@ def _find_brake_time(axis, max_time, speed, acceleration, jerk, remaining_pulses
         remaining_pulses: Pulses from the start of the piece to the end of the drive.
     """
     low, high = dd.ZERO, max_time
-    under, over = (
-        _compute_overshoot(axis, low, speed, acceleration, jerk, remaining_pulses),
-        _compute_overshoot(axis, high, speed, acceleration, jerk, remaining_pulses),
-    )
+    under = _compute_overshoot(axis, low, speed, acceleration, jerk, remaining_pulses)
+    over = _compute_overshoot(axis, high, speed, acceleration, jerk, remaining_pulses)
     side = 0
     for _ in range(200):
         width = dd.subtract(high, low)

@@ -62,11 +62,9 @@ def log_pulses(chip, until, pulses, first, pulse_index):
                     stop = least(stop, chip.ax[j].next_pulse_clock - (1 if j < a else 0))
             pulse_index = _log_even_pulses(axis, a, stop, pulses, pulse_index)
         else:
-            pulses[pulse_index].clock, pulses[pulse_index].axis, pulses[pulse_index].direction = (
-                axis.next_pulse_clock,
-                a,
-                axis.direction,
-            )
+            pulses[pulse_index].clock = axis.next_pulse_clock
+            pulses[pulse_index].axis = a
+            pulses[pulse_index].direction = axis.direction
             pulse_index += 1
             _predict_pulse(axis, 1)
     for j in range(chip.axes):
@@ -180,11 +178,9 @@ def _merge_by_clock(pulses, first, middle, end):
         while at > first and (
             pulses[at - 1].clock > clock or (pulses[at - 1].clock == clock and pulses[at - 1].axis > axis)
         ):
-            pulses[at].clock, pulses[at].axis, pulses[at].direction = (
-                pulses[at - 1].clock,
-                pulses[at - 1].axis,
-                pulses[at - 1].direction,
-            )
+            pulses[at].clock = pulses[at - 1].clock
+            pulses[at].axis = pulses[at - 1].axis
+            pulses[at].direction = pulses[at - 1].direction
             at -= 1
         pulses[at].clock, pulses[at].axis, pulses[at].direction = clock, axis, direction
 

@@ -62,10 +62,8 @@ def find_goal_speed(axis, pulses):
     if (
         axis.prevents_triangle and not axis.curved and dd.is_less(dd.load_pair(axis.sv), goal)
     ):  # a speed above the cap is kept
-        top, now = (
-            profile_planner.compute_triangle_speed(axis, pulses),
-            dd.load_pair(axis.cursor[profile_planner.CURSOR_SPEED]),
-        )
+        top = profile_planner.compute_triangle_speed(axis, pulses)
+        now = dd.load_pair(axis.cursor[profile_planner.CURSOR_SPEED])
         goal = dd.minimum(goal, now if dd.is_less(top, now) else top)
     return goal
 

@@ -145,11 +145,9 @@ def _make_register_map(chip: str, axes: int) -> RegisterMap:
     )
 
 
-MCX304_MAP, MCX302_MAP, MCX312_MAP = (
-    _make_register_map("MCX304", 4),
-    _make_register_map("MCX302", 2),
-    _make_register_map("MCX312", 2),
-)
+MCX304_MAP = _make_register_map("MCX304", 4)
+MCX302_MAP = _make_register_map("MCX302", 2)
+MCX312_MAP = _make_register_map("MCX312", 2)
 
 
 def _make_mcx314as_map() -> RegisterMap:
