@@ -12,9 +12,7 @@ FLAG_SET, FLAG_NUMBER = (f.mask for f in maps.FLAG_WRITE.fields)
 MODE_RESET, MODE_IDLE, MODE_ALIGN, MODE_CONTROL = (
     maps.MODE_WRITE.fields[0].find_code(name) for name in ("reset", "Init/Idle", "Align", "control")
 )
-NOT_LIMIT, NOT_STOP, INIT_BIT, PROFILE_BIT = (
-    maps.MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile")
-)
+NOT_LIMIT, NOT_STOP, INIT_BIT, PROFILE_BIT = maps.MAP.masks("R07", "limit", "stop", "init", "profile")
 WRITABLE_STATUS = maps.MAP.register("R07").writable
 PORT_ZERO = maps.MAP.register("R08").reset or 0
 RESET_ADDRESSES = (maps.TIMER, maps.ZERO, maps.POLE, maps.GAIN)

@@ -74,7 +74,7 @@ OUTPUTS = {
     "prof": PROF, "init": INIT, "sign": SIGN, "pulse": PULSE_ON, "pha": PHA, "phb": PHB, "phc": PHC, "phd": PHD,
 }  # fmt: skip
 
-F0, F1, F2, F3, F4, F5 = (maps.MAP.mask("R00", f"f{k}") for k in range(6))
+F0, F1, F2, F3, F4, F5 = maps.MAP.masks("R00", "f0", "f1", "f2", "f3", "f4", "f5")
 INHIBIT, FOUR, FULL = maps.MAP.masks("R07", "inhibit", "four", "full")
 STORED_MASKS = tuple(
     next((r.legal[1] if r.legal else r.mask for r in maps.MAP.registers if r.number == k and r.access != "R"), 0)

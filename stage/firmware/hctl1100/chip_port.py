@@ -44,7 +44,7 @@ MODE_FLAGS = {
     for mode, flag in (("trapezoid", "f0"), ("proportional velocity", "f3"), ("integral velocity", "f5"))
 }
 """Flag of each control mode except position control, which has none."""
-LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
+LIMIT, STOP, INIT, PROFILE = MAP.masks("R07", "limit", "stop", "init", "profile")
 SAFE_MARGIN_COUNTS = 3  # counts of the timer: so long before the sample's end no command is begun
 MAX_TIMER_READS = 8  # at the timer, one after the other; two or three are enough
 

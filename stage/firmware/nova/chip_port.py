@@ -183,11 +183,6 @@ class ChipPort:
             self.axis.wait(poll)
 
 
-def get_bit_mask(word: str, *names: str) -> int:
-    """Return the mask of named bits in a word or mode register of an MCX514."""
-    return sum(MAP.mask(word, name) for name in names)
-
-
 def open_ports(axes: tuple[Axis, ...]) -> list[ChipPort]:
     """Open the ports of axes of one MCX514 or MCX512, in the order of the axes on the chip.
 

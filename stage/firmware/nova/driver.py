@@ -285,7 +285,7 @@ class NovaDriver(Driver):
 
     def get_mask(self, word: str, *names: str) -> int:
         """Return the mask of named bits in a word of the chip's map."""
-        return sum(self.map.mask(word, name) for name in names)
+        return sum(self.map.masks(word, *names))
 
     @abstractmethod
     def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:

@@ -26,7 +26,6 @@ from stage.firmware.nova.chip_port import (
     POLL_INTERVAL_S,
     ChipPort,
     compute_mcx514_wr2,
-    get_bit_mask,
     open_ports,
     stop_axes,
 )
@@ -116,8 +115,8 @@ def home_search(
     direction_bits = [f"S{k}DR" for k in (1, 2, 3)] if direction < 0 else []
     words = {
         "SV": initial_speed, "DV": speed, "HV": home_speed, "AC": acceleration, "TP": offset,
-        "H1M": get_bit_mask("H1M", *steps, *direction_bits) | 1 << MAP.bit("H1M", "S1G"),
-        "H2M": get_bit_mask("H2M", "LCLR", "RCLR", "HTME") | TIMER_CHOICES_S.index(timer) << MAP.bit("H2M", "HTM"),
+        "H1M": sum(MAP.masks("H1M", *steps, *direction_bits)) | 1 << MAP.bit("H1M", "S1G"),
+        "H2M": sum(MAP.masks("H2M", "LCLR", "RCLR", "HTME")) | TIMER_CHOICES_S.index(timer) << MAP.bit("H2M", "HTM"),
     }  # fmt: skip
     for port in ports:
         port.write_parameters(**words)

@@ -24,13 +24,12 @@ from stage.firmware.nova.chip_port import (
     POLL_INTERVAL_S,
     ChipPort,
     compute_mcx514_wr2,
-    get_bit_mask,
     open_ports,
     stop_axes,
 )
 from stage.support.argument_checks import check_timeout
 
-CNEXT, DRIVING = MAP.mask("RR0", "CNEXT"), MAP.mask("RR0", "n-DRV")
+CNEXT, DRIVING = MAP.masks("RR0", "CNEXT", "n-DRV")
 TWO_AXES, THREE_AXES = 1, 2  # SPD of IPM
 MAX_AXES = 4
 
@@ -153,9 +152,9 @@ def move_along_path(
     main.write_command("DECDIS")
     begin = main.axis.time
 
-    def wait_while(bits: int, value: int) -> int:
-        """Poll RR0 while the chip drives and the bits `bits` of RR0 equal `value`; return the last RR0."""
-        while (status := main.chip.read(0)) & DRIVING and status & bits == value:
+    def wait_for(bits: int) -> int:
+        """Poll RR0 until one of the bits `bits` is on or the chip has stopped; return the last RR0."""
+        while (status := main.chip.read(0)) & DRIVING and not status & bits:
             if not main.axis.time - begin <= timeout:
                 stop_axes(ports)
                 raise RunTimeout(f"the path was not drawn after {timeout} s; the axes are stopped.")
@@ -163,7 +162,7 @@ def move_along_path(
         return status
 
     for k, (command, chip_words, axis_words) in enumerate(words):
-        if k and not wait_while(CNEXT, 0) & DRIVING and any(port.read_error_names() for port in ports):
+        if k and not wait_for(CNEXT) & DRIVING and any(port.read_error_names() for port in ports):
             break  # a limit has ended it
         if k == len(words) - 1:
             main.write_command("DECEN")
@@ -171,7 +170,7 @@ def move_along_path(
         for port, values in zip(ports, axis_words, strict=True):
             port.write_parameters(**values)
         main.write_command(command)
-    wait_while(0, 0)
+    wait_for(0)
     return PathReport(
         seconds=main.axis.time - begin,
         pulses={p.axis.name: p.read_value("R-LP") - b for p, b in zip(ports, before, strict=True)},
@@ -185,7 +184,7 @@ def _write_path_modes(ports: list[ChipPort], speed: PathSpeed) -> None:
     ports[0].write_parameters(
         SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {})
     )
-    curves = get_bit_mask("WR3", "SACC") if speed.jerk else 0
+    curves = MAP.mask("WR3", "SACC") if speed.jerk else 0
     for port in ports:
         port.write_mode_words(WR2=compute_mcx514_wr2(port.axis), WR3=curves)
         port.write_command("R2CLR")

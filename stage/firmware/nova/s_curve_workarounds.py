@@ -15,13 +15,11 @@ from stage.firmware.axis import Axis
 from stage.firmware.nova.chip_port import ChipPort
 
 DECELERATING_STOP, SUDDEN_STOP = "STOP_DEC", "STOP_SUDDEN"
-ASND, CNST, DSND = (MAP.mask("RR1", name) for name in ("ASND", "CNST", "DSND"))
+ASND, CNST, DSND = MAP.masks("RR1", "ASND", "CNST", "DSND")
 PHASES = ASND | CNST | DSND
-LIMIT_STOP_MASK = MAP.mask("RR1", "LMT+") | MAP.mask("RR1", "LMT-")
-STOP_INPUT_MASK = sum(MAP.mask("RR1", f"STOP{k}") for k in range(3))
+LIMIT_STOP_MASK = sum(MAP.masks("RR1", "LMT+", "LMT-"))
+STOP_INPUT_MASK = sum(MAP.masks("RR1", "STOP0", "STOP1", "STOP2"))
 C_END_ENABLE, C_END = MAP.mask("WR1", "C-END"), MAP.mask("RR3", "C-END")
-STOP_ENABLES = tuple(MAP.mask("WR1", f"SP{k}-E") for k in range(3))
-SOFT_LIMIT_MASK = MAP.mask("WR2", "SLMT+") | MAP.mask("WR2", "SLMT-")
 LIMIT_DECELERATION_MASK = MAP.mask("WR2", "LMTMD")
 S_CURVE = MAP.mask("WR3", "SACC")
 

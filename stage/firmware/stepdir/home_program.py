@@ -17,7 +17,7 @@ from stage.sim.program import Program
 if TYPE_CHECKING:
     from stage.firmware.stepdir.driver import StepDirDriver
 
-ORG, END_LIMITS = MAP.mask("status", "org"), MAP.mask("status", "plus_limit") | MAP.mask("status", "minus_limit")
+ORG, END_LIMITS = MAP.mask("status", "org"), sum(MAP.masks("status", "plus_limit", "minus_limit"))
 POSITION = MAP.register("POSITION")
 PHASE_NAMES = ("leave", "search", "back_off", "approach")
 

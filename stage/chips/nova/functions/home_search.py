@@ -33,41 +33,22 @@ HMST_CODES = (0, 3, 15, 8, 12, 15, 15, 20, 20, 25, 25)
 HSST_CODES = (IDLE, SEEK, PAUSE_1, PASS_SIGNAL, BACK_OUT, PAUSE_BACK, SEARCH, PAUSE_2, SEARCH_Z, PAUSE_3, OFFSET)
 SIGNAL, LIMIT = 1, 2  # values of `home_trigger`
 
-
-def _find_h1m_mask(name: str) -> int:
-    """Return the mask of a field of the register H1M of the MCX514."""
-    return MCX514_MAP.mask("H1M", name)
-
-
-def _find_h2m_mask(name: str) -> int:
-    """Return the mask of a field of the register H2M of the MCX514."""
-    return MCX514_MAP.mask("H2M", name)
-
-
-def _find_hm_mask(name: str) -> int:
-    """Return the mask of a field of the register HM of the older chips."""
-    return MCX304_MAP.mask("HM", name)
-
-
 STEP_ENABLE_MASKS = (
-    (_find_hm_mask("ST1-E"), _find_hm_mask("ST2-E"), _find_hm_mask("ST3-E"), _find_hm_mask("ST4-E")),
-    (_find_h1m_mask("S1EN"), _find_h1m_mask("S2EN"), _find_h1m_mask("S3EN"), _find_h1m_mask("S4EN")),
+    MCX304_MAP.masks("HM", "ST1-E", "ST2-E", "ST3-E", "ST4-E"),
+    MCX514_MAP.masks("H1M", "S1EN", "S2EN", "S3EN", "S4EN"),
 )
 STEP_DIRECTION_MASKS = (
-    (_find_hm_mask("ST1-D"), _find_hm_mask("ST2-D"), _find_hm_mask("ST3-D"), _find_hm_mask("ST4-D")),
-    (_find_h1m_mask("S1DR"), _find_h1m_mask("S2DR"), _find_h1m_mask("S3DR"), 0),
+    MCX304_MAP.masks("HM", "ST1-D", "ST2-D", "ST3-D", "ST4-D"),
+    (*MCX514_MAP.masks("H1M", "S1DR", "S2DR", "S3DR"), 0),
 )
-S1G, S2SG = MCX514_MAP.bit("H1M", "S1G"), _find_h1m_mask("S2SG")
-AFTER_2 = (_find_h1m_mask("S2DC"), _find_h1m_mask("S2RC"), _find_h1m_mask("S2LC"))
-AFTER_3 = (_find_h1m_mask("S3DC"), _find_h1m_mask("S3RC"), _find_h1m_mask("S3LC"))
+S1G, S2SG = MCX514_MAP.bit("H1M", "S1G"), MCX514_MAP.mask("H1M", "S2SG")
+AFTER_2 = MCX514_MAP.masks("H1M", "S2DC", "S2RC", "S2LC")
+AFTER_3 = MCX514_MAP.masks("H1M", "S3DC", "S3RC", "S3LC")
 """Mode bits after step 2 and after step 3 of the search: assert DCC, clear RP, clear LP."""
-SAND, LCLR, RCLR, HTME = _find_h2m_mask("SAND"), _find_h2m_mask("LCLR"), _find_h2m_mask("RCLR"), _find_h2m_mask("HTME")
+SAND, LCLR, RCLR, HTME = MCX514_MAP.masks("H2M", "SAND", "LCLR", "RCLR", "HTME")
 HTM = MCX514_MAP.bit("H2M", "HTM")
 CLOCKS_PER_MS = 16_000
-LIMIT_304 = _find_hm_mask("LIMIT")
-SAND_304 = _find_hm_mask("SAND")
-PCLR = _find_hm_mask("PCLR")
-DCC_E = _find_hm_mask("DCC-E")
+LIMIT_304, SAND_304, PCLR, DCC_E = MCX304_MAP.masks("HM", "LIMIT", "SAND", "PCLR", "DCC-E")
 
 
 @hot

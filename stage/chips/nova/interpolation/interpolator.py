@@ -20,8 +20,8 @@ from stage.chips.nova.registers.mcx300 import MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.native import exported, greatest, hot, least
 
-INTA, INTB = MCX514_MAP.mask("IPM", "INTA"), MCX514_MAP.mask("IPM", "INTB")
-CIINT, BPINT = MCX312_MAP.mask("WR5", "CIINT"), MCX312_MAP.mask("WR5", "BPINT")
+INTA, INTB = MCX514_MAP.masks("IPM", "INTA", "INTB")
+CIINT, BPINT = MCX312_MAP.masks("WR5", "CIINT", "BPINT")
 
 
 @hot

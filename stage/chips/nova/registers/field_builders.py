@@ -12,7 +12,6 @@ AXIS_LETTERS = "XYZU"
 LEVELS = ("low", "high")
 DCC_WIDTHS_US = (10, 20, 100, 200, 1000, 2000, 10_000, 20_000)
 """Pulse width of the deviation counter clear output, us, by its code."""
-Range = tuple[int, int] | None
 Values = tuple[str, ...] | Mapping[int, str]
 """Meanings of the values of a field: a sequence from 0 on, or a mapping by value."""
 
