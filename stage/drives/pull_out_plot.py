@@ -7,12 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.drives.dynamometer import (
-    PullOutCurve,
-    compute_closed_form_torque,
-    compute_torque_bound,
-    simulate_pull_out,
-)
+from stage.drives.dynamometer import PullOutCurve, compute_closed_form_torque, compute_torque_bound, simulate_pull_out
 from stage.drives.motor_tolerances import vary_motor
 from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_pull_out_curves import PUBLISHED_CURVES, PublishedCurve

@@ -72,10 +72,7 @@ def build_dashboard(recording: Recording) -> Any:
                 plot("rate", suffix=f": {', '.join(f'{a} {c}' for a, c in assign_colors(recording).items())}"),
                 plot("position", "commanded", suffix=", commanded darker"),
                 rrb.Tabs(*(plot(key) for key in SAMPLED_SERIES if list_axes_with_series(recording, key))),
-                rrb.Tabs(
-                    bus,
-                    rrb.TextDocumentView(origin="/about", name="About"),
-                ),
+                rrb.Tabs(bus, rrb.TextDocumentView(origin="/about", name="About")),
                 row_shares=[24, 24, 24, 28],
             ),
             column_shares=[56, 44],

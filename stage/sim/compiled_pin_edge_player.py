@@ -27,9 +27,7 @@ PIN_EDGE = record([(name, "i8") for name in "time axis pins levels".split()])
 """An edge: time, ns since power-up; index of the axis; the input pins of its chip that change (bits), and their levels (bits)."""
 SWITCH_EDGE = record([(name, "i8") for name in "time axis inputs".split()])
 """An edge of switches: time, ns; index of the axis; the input pins of its chip from then on."""
-OBSERVED_AXIS = record(
-    [("inputs", "i8"), ("switches", "i8"), ("largest_error", "f8"), ("error_time", "i8")],
-)
+OBSERVED_AXIS = record([("inputs", "i8"), ("switches", "i8"), ("largest_error", "f8"), ("error_time", "i8")])
 """An axis: its input pins now; those that its switches drive (bits); the largest following error (joint units); its time, ns."""
 PIN_EDGE_PLAYER = record(
     [(name, "i8") for name in "edges n_edges next has_journals axes switch_edges room n_switch_edges".split()]

@@ -159,10 +159,8 @@ def fill_handle(handles: np.ndarray, index: int, state: State) -> None:
     handle["nq"], handle["nv"], handle["nu"], handle["ns"] = model.nq, model.nv, model.nu, model.nsensordata
     handle["n_sites"], handle["n_bodies"] = model.nsite, model.nbody
     handle["bus"] = state.bus
-    handle["samples"] = handle["positions"] = handle["edges"] = (
-        state.saved.ctypes.data
-    )  # some address: their rooms are 0
     handle["state"] = state.saved.ctypes.data
+    handle["samples"] = handle["positions"] = handle["edges"] = handle["state"]  # some address: their rooms are 0
     handle["own"] = handles.ctypes.data + index * handles.itemsize
 
 

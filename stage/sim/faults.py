@@ -215,10 +215,7 @@ def _make_switch_fault(axis: Axis, description: str, rows: dict[int, dict[str, i
 
     things = [(row, field) for row, change in rows.items() for field in change]
     return Fault(
-        stage,
-        f"axis {axis.name}: {description}",
-        _make_value_replacer(get_values, set_values, lambda _: rows),
-        things,
+        stage, f"axis {axis.name}: {description}", _make_value_replacer(get_values, set_values, lambda _: rows), things
     )
 
 

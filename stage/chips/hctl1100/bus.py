@@ -48,12 +48,10 @@ def hard_reset(chip):
     """Reset the HCTL-1100 as the RESET pin does. The clock, the input pins and the shaft stay."""
     for k in range(maps.ADDRESS_COUNT):
         chip.reg[k] = 0
-    chip.flag_bits = chip.command = chip.command_high = chip.command_middle = chip.position_latch = chip.preset_high = (
-        chip.preset_middle
-    ) = 0
-    chip.actual_velocity = chip.ring_position = chip.pulse_off_until = chip.motor_command = chip.command_sample_end = (
-        chip.command_writes
-    ) = 0
+    chip.flag_bits = chip.command = chip.command_high = chip.command_middle = 0
+    chip.position_latch = chip.preset_high = chip.preset_middle = 0
+    chip.actual_velocity = chip.ring_position = chip.pulse_off_until = 0
+    chip.motor_command = chip.command_sample_end = chip.command_writes = 0
     soft_reset(chip)
     chip.ring_origin = encoder.read_count(chip)
 

@@ -32,7 +32,6 @@ def clear_state(chip):
         external_drives.reset_external_drives(x)
     interpolation.reset_interpolation(chip)
     chip.selected = 1
-    chip.data_low = chip.data_high = chip.read_low = chip.read_high = chip.status_pages = chip.outputs4 = (
-        chip.outputs5
-    ) = 0
+    chip.data_low = chip.data_high = chip.read_low = chip.read_high = 0
+    chip.status_pages = chip.outputs4 = chip.outputs5 = 0
     chip.stale = 1

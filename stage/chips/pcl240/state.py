@@ -161,9 +161,8 @@ def reset_chip(chip):
     chip.armed = 1
     chip.uses_ramps = chip.speed_select = chip.stopping = chip.int_at_stop = chip.irq = 0
     chip.origin_return = chip.sd_enable = chip.preset = chip.minus = chip.automatic_ramp_down = chip.counts_position = 0
-    chip.selected_register = chip.output_mode = chip.collective = chip.high_byte = chip.middle_byte = (
-        chip.read_latch
-    ) = 0
+    chip.selected_register = chip.output_mode = chip.collective = 0
+    chip.high_byte = chip.middle_byte = chip.read_latch = 0
     clear_run_state(chip)
     for k in range(REGISTERS):
         chip.reg[k] = 0
@@ -183,9 +182,8 @@ def update_active_inputs(chip):
 def clear_run_state(chip):
     """Clear the state that a run of the PCL-240 does not take over from the run before it."""
     chip.phase = chip.ramp_clocks = chip.ramp_direction = chip.curved_ramp = chip.fdown_end = 0
-    chip.speed_rising = chip.rise_pulses = chip.automatic_off = chip.ramp_down_due = chip.corrected_speed = (
-        chip.corrected_select
-    ) = 0
+    chip.speed_rising = chip.rise_pulses = chip.automatic_off = 0
+    chip.ramp_down_due = chip.corrected_speed = chip.corrected_select = 0
     chip.passed_org = chip.counts_ez = chip.ez_left = chip.ez_started = 0
 
 

@@ -21,14 +21,7 @@ from stage.chips.nova.registers.mcx514_words import HOME_STATES
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.driver import compute_poll_interval
-from stage.firmware.nova.chip_port import (
-    MAP,
-    POLL_INTERVAL_S,
-    ChipPort,
-    compute_mcx514_wr2,
-    open_ports,
-    stop_axes,
-)
+from stage.firmware.nova.chip_port import MAP, POLL_INTERVAL_S, ChipPort, compute_mcx514_wr2, open_ports, stop_axes
 from stage.units import POSITION_UNITS
 
 HSST = MAP.field("RR3-0", "HSST")

@@ -19,14 +19,7 @@ from dataclasses import dataclass
 from stage.chips.exclusive_access import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.nova.chip_port import (
-    MAP,
-    POLL_INTERVAL_S,
-    ChipPort,
-    compute_mcx514_wr2,
-    open_ports,
-    stop_axes,
-)
+from stage.firmware.nova.chip_port import MAP, POLL_INTERVAL_S, ChipPort, compute_mcx514_wr2, open_ports, stop_axes
 from stage.support.argument_checks import check_timeout
 
 CNEXT, DRIVING = MAP.masks("RR0", "CNEXT", "n-DRV")

@@ -21,12 +21,7 @@ from stage.firmware.pcl240.move_plot_signals import Pcl240Pattern
 from stage.firmware.pcl240.origin_return import APPROACH_RATE_PPS, origin_return
 from stage.firmware.pcl240.procedure_observer import find_present_stop_reason, find_stop_reason
 from stage.firmware.pcl240.rate_change_moves import dual_rate_move
-from stage.firmware.pcl240.speed_profile import (
-    MAX_SPEED_STEPS,
-    Profile,
-    compute_pulse_rate,
-    get_default_second_rate,
-)
+from stage.firmware.pcl240.speed_profile import MAX_SPEED_STEPS, Profile, compute_pulse_rate, get_default_second_rate
 from stage.firmware.pcl240.synchronized_move import synchronized_move
 from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.program import Operations

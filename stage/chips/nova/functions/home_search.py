@@ -54,9 +54,8 @@ LIMIT_304, SAND_304, PCLR, DCC_E = MCX304_MAP.masks("HM", "LIMIT", "SAND", "PCLR
 @hot
 def reset_search(axis):
     """Clear the state of an axis' home search."""
-    axis.home_state = axis.home_trigger = axis.pause_end = axis.home_handles_limits = axis.drives_at_hv = (
-        axis.launch_direction
-    ) = 0
+    axis.home_state = axis.home_trigger = axis.pause_end = 0
+    axis.home_handles_limits = axis.drives_at_hv = axis.launch_direction = 0
 
 
 @hot

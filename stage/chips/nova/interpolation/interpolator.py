@@ -29,9 +29,8 @@ def reset_interpolation(chip):
     """Clear the state of a NOVA chip's interpolation."""
     interpolation = chip.ip
     chip.interpolating = 0
-    interpolation.deceleration_enabled = interpolation.interrupt = interpolation.waiting_segments = (
-        interpolation.queue_head
-    ) = interpolation.finished_rotations = 0
+    interpolation.deceleration_enabled = interpolation.interrupt = interpolation.waiting_segments = 0
+    interpolation.queue_head = interpolation.finished_rotations = 0
     interpolation.loads_pattern = interpolation.stacked_sets = 0
     interpolation.role = interpolation.awaits_start = chip.signals_failure = chip.multichip_error = 0
     interpolation.next_tick_clock = state.NEVER
@@ -169,9 +168,8 @@ def start_interpolation(chip):
 def end_interpolation(chip):
     """End the interpolation now, and drop the segments that wait in its queue."""
     interpolation = chip.ip
-    chip.interpolating = interpolation.waiting_segments = interpolation.stopping = interpolation.single_stepped = (
-        interpolation.zone
-    ) = interpolation.awaits_start = 0
+    chip.interpolating = interpolation.waiting_segments = interpolation.stopping = 0
+    interpolation.single_stepped = interpolation.zone = interpolation.awaits_start = 0
     interpolation.next_tick_clock = state.NEVER
     for j in range(chip.axes):
         if chip.ax[j].interpolates:

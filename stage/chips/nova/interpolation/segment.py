@@ -100,10 +100,7 @@ def prepare_tick(chip):
         moved += interpolation.steps[k]
     dd.store_pair(
         interpolation.tick_place,
-        dd.add(
-            dd.load_pair(interpolation.tick_place),
-            dd.scale(_find_tick_length(moved), 1.0 / segment.inner_ticks),
-        ),
+        dd.add(dd.load_pair(interpolation.tick_place), dd.scale(_find_tick_length(moved), 1.0 / segment.inner_ticks)),
     )
     for k in range(segment.axis_count):
         axis, direction = chip.ax[segment.axis_numbers[k]], interpolation.directions[k]
@@ -141,8 +138,7 @@ def _plan_segment(chip, axis):
         plan_endless_drive(axis, dd.load_pair(axis.dv))
         return
     goal = single_axis_drive.find_goal_speed(
-        axis,
-        dd.floor(dd.subtract(dd.load_pair(interpolation.segment_end), dd.load_pair(interpolation.segment_start))),
+        axis, dd.floor(dd.subtract(dd.load_pair(interpolation.segment_end), dd.load_pair(interpolation.segment_start)))
     )
     point = dd.floor(dd.load_pair(interpolation.segment_start)) + axis.reg[DP]
     if not axis.manual_deceleration:
@@ -164,12 +160,7 @@ def replan_segment(chip, axis):
     if chip.clock == interpolation.start_clock:  # nothing has moved yet
         rate_registers.load_drive_speed(chip, axis, find_limited_drive_speed(chip, axis))
         begin_plan(
-            axis,
-            chip.clock,
-            dd.ZERO,
-            dd.ZERO,
-            dd.minimum(dd.load_pair(axis.sv), dd.load_pair(axis.dv)),
-            dd.ZERO,
+            axis, chip.clock, dd.ZERO, dd.ZERO, dd.minimum(dd.load_pair(axis.sv), dd.load_pair(axis.dv)), dd.ZERO
         )
     else:
         begin_plan_at(axis, chip.clock - axis.origin)
@@ -239,8 +230,7 @@ def _has_reached_place(axis, piece, clocks, place):
         reached = dd.add(
             dd.load_pair(axis.p[piece]),
             dd.multiply(
-                dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[piece])),
-                dd.load_pair(axis.v[piece]),
+                dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[piece])), dd.load_pair(axis.v[piece])
             ),
         )
     else:

@@ -260,10 +260,7 @@ def append_speed_change(axis, goal_speed):
     """Append the change from the speed at the plan's cursor to another speed."""
     for k in range(
         draft_speed_change(
-            axis,
-            dd.load_pair(axis.cursor[CURSOR_SPEED]),
-            dd.load_pair(axis.cursor[CURSOR_ACCELERATION]),
-            goal_speed,
+            axis, dd.load_pair(axis.cursor[CURSOR_SPEED]), dd.load_pair(axis.cursor[CURSOR_ACCELERATION]), goal_speed
         )
     ):
         duration, a, jerk = _read_draft_piece(axis.drafted_pieces, k)
@@ -470,8 +467,7 @@ def begin_plan_at(axis, clocks):
     place = dd.add(dd.to_double_double(axis.from_pulse[s]), compute_exact_place(axis, s, clocks))
     a2, j6 = dd.load_pair(axis.a2[s]), dd.load_pair(axis.j6[s])
     v = dd.add(
-        dd.load_pair(axis.v[s]),
-        dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))),
+        dd.load_pair(axis.v[s]), dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0)))))
     )
     a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
     begin_plan(axis, axis.origin + clocks, dd.ZERO, place, v, a if axis.curved else dd.ZERO)

@@ -111,12 +111,7 @@ def begin_drive(chip, axis, direction, pulse_count):
     load_rates(chip, axis)
     load_drive_speed(chip, axis, axis.reg[state.DV])
     profile_planner.begin_plan(
-        axis,
-        chip.clock,
-        dd.ZERO,
-        dd.ZERO,
-        dd.minimum(dd.load_pair(axis.sv), dd.load_pair(axis.dv)),
-        dd.ZERO,
+        axis, chip.clock, dd.ZERO, dd.ZERO, dd.minimum(dd.load_pair(axis.sv), dd.load_pair(axis.dv)), dd.ZERO
     )
     plan_drive(chip, axis)
 
