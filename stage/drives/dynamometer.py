@@ -169,9 +169,8 @@ def compute_mean_counts(rates: Floats) -> np.ndarray:
     Args:
         rates: Pulse rate in each slice, pps, shape (n,).
     """
-    edges = (
-        np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * SLICE_S)]) + 1e-6
-    )  # a sum that falls short of a pulse
+    # a sum that falls short of a pulse
+    edges = np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * SLICE_S)]) + 1e-6
     first_pulse = np.floor(edges[:-1])
     run, last_pulse = edges[1:] - first_pulse, np.floor(edges[1:]) - first_pulse
     area = last_pulse * (run - 0.5 * (last_pulse + 1))  # under the staircase, from the slice's first whole pulse on

@@ -212,9 +212,8 @@ class Recording(ColumnTable):
         shared, at, end = self._file, 0, self._spooled * self._dtype.itemsize
         self._open_temporary_file()
         while at < end:
-            piece = os.pread(
-                shared.fileno(), min(end - at, 1 << 20), at
-            )  # the file position of the other process stays
+            # the file position of the other process stays
+            piece = os.pread(shared.fileno(), min(end - at, 1 << 20), at)
             self._file.write(piece)
             at += len(piece)
         if self._log is not None:

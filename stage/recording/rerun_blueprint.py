@@ -60,9 +60,10 @@ def build_dashboard(recording: Recording) -> Any:
         origin="/",
         contents=[*(f"+ {path}/bus" for path in paths.values()), "+ /faults/log"],
         name="Bus",
+        # a line begins with its time, to the microsecond
         columns=rrb.TextLogColumns(
             timeline_columns=[rrb.encodings.TimelineColumn("time", visible=False)], text_log_columns=["Body"]
-        ),  # a line begins with its time, to the microsecond
+        ),
         format_options=rrb.TextLogFormat(monospace_body=True),
     )
     return rrb.Blueprint(

@@ -198,9 +198,8 @@ def read(path: str | os.PathLike) -> SavedRecording:
                 "Recording.save or --record has written."
             )
     if not is_installed("rerun"):
-        import_extra(
-            "rerun", "reading a recording (.rrd)"
-        )  # raises ExtraMissing; the import itself takes half a second
+        # raises ExtraMissing; the import itself takes half a second
+        import_extra("rerun", "reading a recording (.rrd)")
     entities: dict[str, dict[str, Any]] = {}
     try:
         for entity, batch in read_chunks(path):

@@ -75,12 +75,7 @@ class Fleet:
     """Stages of one model and one set of axes, played together."""
 
     def __new__(
-        cls,
-        stages: Sequence[Stage],
-        threads: int | None = None,
-        *,
-        device: str = "cpu",
-        copies: int | None = None,
+        cls, stages: Sequence[Stage], threads: int | None = None, *, device: str = "cpu", copies: int | None = None
     ) -> Fleet:
         """Create a `Fleet`, or a `GpuFleet` if `device` is "cuda"; see `__init__`."""
         if device not in DEVICES:
@@ -324,12 +319,8 @@ def is_observed(stage: Stage) -> bool:
 
 
 AXIS_OPERATIONS = (WRITE, READ, SAMPLE_POSITION)
-TIME_OPERANDS = {
-    WAIT: (1,),
-    MEASURE: (1,),
-    AWAIT_STOP: (2, 3),
-    AWAIT_STOP_OR_LOST_STEP: (2, 3),
-}  # which of an operation's numbers are ns
+# which of an operation's numbers are ns
+TIME_OPERANDS = {WAIT: (1,), MEASURE: (1,), AWAIT_STOP: (2, 3), AWAIT_STOP_OR_LOST_STEP: (2, 3)}
 
 
 def check_programs(

@@ -42,9 +42,8 @@ def replace_motor_in_model(
     """
     p, rotor = axis.plant, drive.motor.rotor_inertia
     now = axis.armature + (axis.drive.motor.rotor_inertia - axis.rotor) * p.gear**2
-    armature = (
-        axis.armature + (rotor - axis.rotor) * p.gear**2
-    )  # to the bit what it was, when the motor of before comes back
+    # to the bit what it was, when the motor of before comes back
+    armature = axis.armature + (rotor - axis.rotor) * p.gear**2
     if model.dof_armature[p.dof] != now:  # somebody has changed it
         armature = model.dof_armature[p.dof] + (rotor - axis.drive.motor.rotor_inertia) * p.gear**2
     if armature < 0:

@@ -12,9 +12,8 @@ import mujoco
 @cache
 def load_mujoco_library() -> ctypes.CDLL:
     """Return MuJoCo's library, which the package mujoco has already loaded."""
-    return ctypes.CDLL(
-        str(next(Path(mujoco.__file__).parent.glob("libmujoco.*")))
-    )  # .so.VERSION or, on macOS, .VERSION.dylib
+    # .so.VERSION or, on macOS, .VERSION.dylib
+    return ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco.*"))))
 
 
 @cache

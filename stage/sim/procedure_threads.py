@@ -51,10 +51,8 @@ class ProcedureThread:
         self.error: BaseException | None = None
         self.resume_at = 0
         self._schedule, self._run, self._cancelling = schedule, run, False
-        self._may_run, self._has_paused = (
-            threading.Lock(),
-            threading.Lock(),
-        )  # each is free for one turn: cheaper than a Semaphore
+        # each is free for one turn: cheaper than a Semaphore
+        self._may_run, self._has_paused = threading.Lock(), threading.Lock()
         self._may_run.acquire()
         self._has_paused.acquire()
         self._thread = threading.Thread(target=self._run_procedure, daemon=True, name=f"{name} {axis_name}")

@@ -7,9 +7,8 @@ import math
 from stage.chips.hctl1100.state import NEVER, to_signed
 from stage.native import greatest, hot, least
 
-MAX_FILTERED_RATE = (
-    1.0 / 3.0
-)  # counts a clock: a state that is shorter than the filter's three clocks does not come through
+# counts a clock: a state that is shorter than the filter's three clocks does not come through
+MAX_FILTERED_RATE = 1.0 / 3.0
 MAX_COUNT = float(1 << 53)
 
 

@@ -209,9 +209,8 @@ class MCX514(Nova):
     VARIANT: ClassVar = state.MCX514_TYPE
     DRIVER: ClassVar = "stage.firmware.nova.mcx514_driver:Mcx514Driver"
     MULTICHIP: ClassVar = True
-    READING_ACTS: ClassVar = frozenset(
-        {1, FIRST_BYTE_ADDRESS | 2, FIRST_BYTE_ADDRESS | 3}
-    )  # RR1, the interrupt factors
+    # RR1, the interrupt factors
+    READING_ACTS: ClassVar = frozenset({1, FIRST_BYTE_ADDRESS | 2, FIRST_BYTE_ADDRESS | 3})
 
     @property
     def linked(self) -> bool:

@@ -62,11 +62,8 @@ _PROFILE = [  # of the drive in progress: pieces, each a cubic polynomial of the
     ("j6", "f8", (MAX_PIECES, 2)),  # a sixth of its jerk
     # planner
     ("cursor", "f8", (4, 2)),  # time, place, speed and acceleration at the end of the plan so far
-    (
-        "drafted_pieces",
-        "f8",
-        (MAX_DRAFTED_PIECES, 3, 2),
-    ),  # durations, accelerations, jerks of a drafted change of speed
+    # durations, accelerations, jerks of a drafted change of speed
+    ("drafted_pieces", "f8", (MAX_DRAFTED_PIECES, 3, 2)),
     ("stored_draft", "f8", (MAX_DRAFTED_PIECES, 3, 2)),  # the same of a draft that waits while others are tried
     ("sv", "f8", (2,)),  # initial speed, pulses per clock
     ("dv", "f8", (2,)),  # drive speed
@@ -190,18 +187,13 @@ SEGMENT = record(
         ("vector_axes", "i8"),  # number of axes that constant vector speed considers; 0: off
         ("inner_ticks", "i8"),  # inner ticks per tick: 8 if short-axis pulses are equalized, else 1
         ("decelerates", "i8"),  # the segment ends with a deceleration
-        (
-            "tick_count",
-            "i8",
-        ),  # ticks of a line; of a helix: those in which the axes beyond the circle make their pulses
+        # ticks of a line; of a helix: those in which the axes beyond the circle make their pulses
+        ("tick_count", "i8"),
         ("rotations", "i8"),  # whole rotations of a helix before its arc
         ("y_sign", "i8"),  # -1 for clockwise circles, else 1
         ("axis_numbers", "i8", (MAX_CHIP_AXES,)),  # number of the axis at each place
-        (
-            "finish",
-            "i8",
-            (MAX_CHIP_AXES,),
-        ),  # finish point, pulses; of a bit pattern + in the low, - in the high 16 bits
+        # finish point, pulses; of a bit pattern + in the low, - in the high 16 bits
+        ("finish", "i8", (MAX_CHIP_AXES,)),
         ("center", "i8", (2,)),  # relative, pulses
     ]
 )

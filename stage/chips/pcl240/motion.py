@@ -218,9 +218,8 @@ def compute_mean_count(net_before, net, phase, multiplier, speed, clocks):
     if n == 0:
         return float(net)
     ago = n * phase + 4096.0 * multiplier * n * (n - 1)  # x speed
-    missing = n - least(
-        ago / (speed * clocks), float(n)
-    )  # pulses x the part of the time in which they were still to come
+    # pulses x the part of the time in which they were still to come
+    missing = n - least(ago / (speed * clocks), float(n))
     return net - missing if net > net_before else net + missing
 
 

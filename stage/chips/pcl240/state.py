@@ -85,10 +85,8 @@ STATE = record(
         ("rate_register", "i8"),  # register of the rate, an index in `reg`: a host may revise it
         ("fdown_end", "i8"),  # after a ramp down: the clock at which FDOWN falls; else 0
         ("next_step_time", "i8"),  # `ramp_clocks` of its next step
-        (
-            "quiet_until",
-            "i8",
-        ),  # the clock up to which only pulses happen if no input changes and nobody writes; 0: unknown
+        # the clock up to which only pulses happen if no input changes and nobody writes; 0: unknown
+        ("quiet_until", "i8"),
         # automatic ramp-down and FH correction of this run
         ("speed_rising", "i8"),  # the speed was below its goal at the last clock
         ("rise_pulses", "i8"),  # pulses output while the speed was rising

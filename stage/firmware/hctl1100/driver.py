@@ -328,9 +328,8 @@ class Hctl1100Driver(Driver):
         ports = [driver.prepare() for driver in moving_drivers.values()]
         for (n, driver), port in zip(moving_drivers.items(), ports, strict=True):
             driver._check_goal(port.read_command_position() + pulses[n])
-        _compute_line_command_positions(
-            [pulses[n] for n in moving_drivers], speeds, ports[0].sample
-        )  # refuses before anything moves
+        # refuses before anything moves
+        _compute_line_command_positions([pulses[n] for n in moving_drivers], speeds, ports[0].sample)
         with LineObserver(
             {n: ProcedureObserver(d.axis, "line") for n, d in moving_drivers.items()},
             {n: pulses[n] for n in moving_drivers},
@@ -467,9 +466,8 @@ def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, 
         stream_positions(ports, rows, on_row=poll_limits)
     except _EndLimitReached:
         left = 1 - np.arange(1, braking_samples + 1) / braking_samples
-        times = (
-            sample - 1 + 0.5 * braking_samples * (1 - left**2)
-        )  # of the rows: one a sample at first, none at the end
+        # of the rows: one a sample at first, none at the end
+        times = sample - 1 + 0.5 * braking_samples * (1 - left**2)
         places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[sample - 1]
         free = [k for k, port in enumerate(ports) if not port.is_limit_latched()]
         if free:

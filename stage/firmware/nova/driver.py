@@ -232,9 +232,10 @@ class NovaDriver(Driver):
                     together.note_start(*(n for n, at in zip(moving_drivers, starts, strict=True) if at == j))
             max_pulses = float(moves.longest[0])
             max_seconds = 1.5 * max_pulses / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
+            # a chip ends its own
             breaker = EarlyStopHandler(
                 together, {} if isinstance(line_plan, InterpolatedLinePrograms) else moving_drivers
-            )  # a chip ends its own
+            )
             with together.attach_reports_to_timeout():
                 wait_until_stopped(axes, max_seconds if timeout is None else timeout, on_poll=breaker)
             axes[0].wait(SETTLING_TIME_S)

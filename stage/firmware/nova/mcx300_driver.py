@@ -61,9 +61,8 @@ class Mcx300Driver(NovaDriver):
                 return observer.make_report("EL-" if direction < 0 else "EL+")
             if self.port.read_status_register(2) & self.get_mask("RR2", "HOME"):
                 return observer.make_report("HOME")
-            return observer.make_report(
-                self.read_stop_reason() or "HOME"
-            )  # what ended its last drive: a limit, where ORG is stuck
+            # what ended its last drive: a limit, where ORG is stuck
+            return observer.make_report(self.read_stop_reason() or "HOME")
 
     def _wait_for_search(self, timeout: float) -> bool:
         """Wait until the home search is over, and return whether an end limit has ended it.

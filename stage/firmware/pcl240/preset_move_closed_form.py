@@ -129,10 +129,8 @@ def _compute_ramp_progress(steps, twice_curved_end_steps, rate, ticks):
         Speed steps taken, and the phase that they have gained.
     """
     span, total, x = 0.5 * twice_curved_end_steps, 0.5 * (steps + twice_curved_end_steps), ticks / rate
-    a, b = (
-        twice_curved_end_steps // 2,
-        steps - (twice_curved_end_steps + 1) // 2,
-    )  # the last step of the first curved end, and of the linear part
+    # the last step of the first curved end, and of the linear part
+    a, b = twice_curved_end_steps // 2, steps - (twice_curved_end_steps + 1) // 2
     delay = _compute_mean_step_delay(rate * twice_curved_end_steps, rate) if b > a else 0.0
     if x >= total:
         return steps, steps * ticks - 0.5 * rate * total * (steps + 1) - 0.5 * (a + steps - b) - delay * (b - a)
@@ -167,9 +165,8 @@ def _compute_s_curve_state(fl, fh, r14, up, down, ramp_down_tick, ramp_down_spee
     j, gained = _compute_ramp_progress(steps, twice_curved_end_steps, rate, u)
     if rising:
         return fl + j, u * fl + gained
-    gained -= max(
-        0.0, u - 0.5 * (steps + twice_curved_end_steps) * rate
-    )  # the mirror image: its first step at once, each one earlier
+    # the mirror image: its first step at once, each one earlier
+    gained -= max(0.0, u - 0.5 * (steps + twice_curved_end_steps) * rate)
     return ramp_down_speed - 1 - min(j, steps - 1), ramp_down_phase + u * (ramp_down_speed - 1) - gained
 
 

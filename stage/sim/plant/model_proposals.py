@@ -15,10 +15,8 @@ import numpy as np
 
 MARGIN_M, LOOKAHEAD_M = -0.03, 0.01  # m: of a pair; the vane is detected from LOOKAHEAD_M before the touch on
 SCREW_GEAR, TABLE_GEAR = 628.3185307, 10.0  # rotor radians per m of a screw of 10 mm lead; per rad of a table
-DEFAULT_JOINT_RANGES = {
-    "slide": (-0.15, 0.15),
-    "hinge": (-3.1416, 3.1416),
-}  # of a joint whose hard stops are not found: m, rad
+# of a joint whose hard stops are not found: m, rad
+DEFAULT_JOINT_RANGES = {"slide": (-0.15, 0.15), "hinge": (-3.1416, 3.1416)}
 VANE_HALF_THICKNESS_M, BEAM_RADIUS_M, VANE_SPACING_M = 0.0005, 0.0005, 0.004
 MAX_GEAR, MIN_GEAR = 1e9, 1e-6
 SWITCH_RGBA = {"el": "0.86 0.16 0.15 1", "sd": "0.98 0.68 0.08 1", "org": "0.12 0.66 0.32 1"}
@@ -123,9 +121,8 @@ def propose_joint(
     polynomial = np.any(m.dof_dampingpoly[dof]), np.any(m.jnt_stiffnesspoly[joint])
     damping = np.append(m.dof_damping[dof], m.dof_dampingpoly[dof] if polynomial[0] else [])
     stiffness = np.append(m.jnt_stiffness[joint], m.jnt_stiffnesspoly[joint] if polynomial[1] else [])
-    limited = (
-        bool(m.jnt_limited[joint]) and travel is None
-    )  # MuJoCo takes the range of a joint without limits in radians
+    # MuJoCo takes the range of a joint without limits in radians
+    limited = bool(m.jnt_limited[joint]) and travel is None
 
     def list_unless_default(value: Any, default: Any) -> Any:
         return None if np.allclose(value, default) else value

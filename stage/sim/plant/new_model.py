@@ -30,26 +30,18 @@ ROTOR_INERTIA_KG_M2 = 5.4e-6  # kg m2, of a 17HS4401
 MOTOR_NAME = "17HS4401"
 STEEL, SCREW = 7850, 0.005  # kg/m3; m: the screw's radius
 SLIDE_TRAVEL_RANGE_M = 0.01, 2.0  # m between the end limits
-TURN, WIDEST, NARROWEST = (
-    360.0,
-    330.0,
-    20.0,
-)  # degrees; what lies between WIDEST and TURN leaves no room for the hard stops
+# degrees; what lies between WIDEST and TURN leaves no room for the hard stops
+TURN, WIDEST, NARROWEST = 360.0, 330.0, 20.0
 TABLE_RADIUS_M = 0.060  # m: a table's radius
 BASE_TOP_M, BASE_BOTTOM_M = -0.002, -0.018  # m: height of the base plate of an axis in its frame
-HALF_CARRIAGE_M, END_PLATE_M = (
-    0.04,
-    0.01,
-)  # m: half the length of a carriage; thickness of the plates at the ends of a slide
+# m: half the length of a carriage; thickness of the plates at the ends of a slide
+HALF_CARRIAGE_M, END_PLATE_M = 0.04, 0.01
 HALF_MOTOR_WIDTH_M = 0.021  # m: half the width of a motor
 BENCH_MARGIN_M, BENCH_THICKNESS_M = 0.04, 0.02  # m: the bench is larger than the machine by this, on each side
 CAMERA_FOVY_DEG, CAMERA_AZIMUTH_DEG, CAMERA_ELEVATION_DEG = 30.0, -120.0, 24.0  # seen from in front, on the left
 CAMERA_ASPECT, CAMERA_FILL = 16 / 9, 0.94  # of the picture; the share of it that the machine and its bench take
-SLIDE_QUATERNIONS = {
-    "x": "1 0 0 0",
-    "y": "1 0 0 1",
-    "z": "1 0 -1 0",
-}  # quaternions: how the x of a slide's own frame lies
+# quaternions: how the x of a slide's own frame lies
+SLIDE_QUATERNIONS = {"x": "1 0 0 0", "y": "1 0 0 1", "z": "1 0 -1 0"}
 INVERSE_SLIDE_QUATERNIONS = {"x": "1 0 0 0", "y": "1 0 0 -1", "z": "1 0 1 0"}
 BUMPER_RADIUS_M = 0.005  # m
 BEAM_RADIUS_M = 0.0005  # m: radius of a light beam, at whose surface a switch trips

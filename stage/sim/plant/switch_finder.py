@@ -513,9 +513,8 @@ class SwitchFinder:
             room: Joint travel from this edge to the nearest other one.
         """
         noise, bend, limits = MIN_TRAVEL, 0.0, []
-        nearest = min(
-            MIN_FLAG_SHARE * travel, 1e-4 * room
-        )  # the first steps, up to 100 times as far, measure the noise
+        # the first steps, up to 100 times as far, measure the noise
+        nearest = min(MIN_FLAG_SHARE * travel, 1e-4 * room)
         steps = (travel * np.geomspace(nearest / travel, 1, 41)).tolist()
         for side in (-1, 1):
             limit = 0.0

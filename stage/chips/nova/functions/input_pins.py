@@ -53,9 +53,8 @@ def _count_encoder_edge(chip, axis, old_levels, new_levels):
     if step == 2:
         return  # both at once: no direction can be told
     step = 1 if step == 1 else -1
-    seam = (
-        greatest(begin, end) if abs(begin - end) == 1 else 0
-    )  # between which quarters: 1, 2, 3, or 0 at the period's end
+    # between which quarters: 1, 2, 3, or 0 at the period's end
+    seam = greatest(begin, end) if abs(begin - end) == 1 else 0
     if axis.encoder_mode == 0 or (axis.encoder_mode == 1 and seam % 2 == 0) or (axis.encoder_mode == 2 and seam == 0):
         add_encoder_counts(chip, axis, direction * step)
 
