@@ -161,11 +161,9 @@ class BusTools:
         chip, trace = self._context.get_axis(axis).chip, self._context.get_trace(axis)
         _check_addresses(chip, addresses)
         listener = chip.make_describer()
-        values = []
-        for address in addresses:
-            values.append((address, trace.read(address)))
-        read = [f"{address:X}: {value:02X}h  {listener.read(address, value)}" for address, value in values]
-        return {"axis": axis, "values": [value for _, value in values], "read": read}
+        values = [trace.read(address) for address in addresses]
+        read = [f"{a:X}: {v:02X}h  {listener.read(a, v)}" for a, v in zip(addresses, values, strict=True)]
+        return {"axis": axis, "values": values, "read": read}
 
     def status(self, axis: str) -> dict[str, Any]:
         """Read the status of an axis, bit by bit, with the evidence for each meaning."""

@@ -65,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 def make_moves(stage: Any) -> list[Any]:
     """Make the moves of the demonstration on a stage, and return their reports."""
+    from stage import firmware
     from stage.firmware.driver import Speeds
     from stage.firmware.gantry_homing import group_tandem_axes
 
@@ -87,13 +88,13 @@ def make_moves(stage: Any) -> list[Any]:
         return reports
     reports += _move_group(second, SHORT, speeds)
     show_status("a straight line ...")
-    pulses = {
+    pulses: dict[Any, int] = {
         axis: convert_share_to_pulses(axis, share)
         for group, share in ((first, LINE_FIRST), (second, LINE_SECOND))
         for axis in group
     }
     try:
-        line = _move_along_line(pulses, Speeds(drive=DRIVE_PPS))
+        line = firmware.line(pulses, pulses=True, speed=Speeds(drive=DRIVE_PPS))
     except ArgumentError as error:
         print(f"no straight line: {error}")
         return reports
@@ -125,14 +126,8 @@ def _move_group(group: list[Any], share: float, speeds: Any) -> list[Any]:
 
     if len(group) == 1:
         return [firmware.move(group[0], pulses=convert_share_to_pulses(group[0], share), speed=speeds)]
-    return list(_move_along_line({axis: convert_share_to_pulses(axis, share) for axis in group}, speeds).axes.values())
-
-
-def _move_along_line(pulses: dict[Any, int], speeds: Any) -> Any:
-    """Move axes along a line, by pulses for each axis, and return the report."""
-    from stage import firmware
-
-    return firmware.line(pulses, pulses=True, speed=speeds)
+    pulses = {axis: convert_share_to_pulses(axis, share) for axis in group}
+    return list(firmware.line(pulses, pulses=True, speed=speeds).axes.values())
 
 
 def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli.command_interface import add_command, add_facts, report_written_file
+from stage.cli.options import add_force_option
 from stage.support.extras import is_installed
 
 
@@ -21,7 +22,7 @@ def add_subcommand(commands: Any) -> None:
     )  # fmt: skip
     p.add_argument("name", nargs="?", metavar="NAME", help="example to copy, such as stall (default: list them)")
     p.add_argument("--to", default=".", metavar="FOLDER", help="folder for the copy (default: the current folder)")
-    p.add_argument("--force", action="store_true", help="overwrite files that exist")
+    add_force_option(p)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,14 +8,13 @@ import os
 from typing import Any
 
 from stage.cli.command_interface import add_command, warn
-from stage.cli.options import add_model_argument, add_stage_options, parse_port
+from stage.cli.options import add_model_argument, add_place_option, add_stage_options, parse_port
 from stage.cli.stage_setup import make_stage, place_carriages
 from stage.errors import ArgumentError
 from stage.support.extras import import_extra
 
 FREE_WORD = "free"
 DEFAULT_PORT = 5064
-UPDATE_RANGE_HZ = (0.1, 50.0)
 
 
 def add_subcommand(commands: Any) -> None:
@@ -54,31 +53,29 @@ def add_subcommand(commands: Any) -> None:
     )
     g = p.add_argument_group("stage")
     add_stage_options(g)
-    g.add_argument("--place", action="append", default=[], metavar="AXIS=PLACE", help="place a carriage first: x=62mm")
+    add_place_option(g)
 
 
 def parse_pace(text: str) -> float:
     """Parse the value of --pace: a number, or `free` for infinity."""
     if text == FREE_WORD:
         return math.inf
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.001 <= value <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: simulated seconds per second, 0.001 to 1000, or `{FREE_WORD}`.")
-    return value
+    return _parse_in_range(text, 0.001, 1000.0, f"simulated seconds per second, 0.001 to 1000, or `{FREE_WORD}`.")
 
 
 def parse_rate(text: str) -> float:
     """Parse the value of --rate."""
-    low, high = UPDATE_RANGE_HZ
+    return _parse_in_range(text, 0.1, 50.0, "0.1 to 50 updates per second.")
+
+
+def _parse_in_range(text: str, low: float, high: float, expected: str) -> float:
+    """Parse a number of `low` to `high`; `expected` says in the error what the option takes."""
     try:
         value = float(text)
     except ValueError:
-        value = 0.0
+        value = math.nan
     if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text!r}: {low:g} to {high:g} updates per second.")
+        raise argparse.ArgumentTypeError(f"{text!r}: {expected}")
     return value
 
 

@@ -341,26 +341,19 @@ def pack_panel(panel: Panel) -> bytes:
             file.writestr(name, text)
         recording = _export_last_minute(panel)
         if recording is not None:
-            file.writestr(f"recording.{recording.file_ending}", recording.content)
+            ending, content = recording
+            file.writestr(f"recording.{ending}", content)
     return out.getvalue()
 
 
-class _ExportedRecording(NamedTuple):
-    """Samples of the last minute, exported as the bytes of a file."""
-
-    file_ending: str
-    """Ending of the file's name, "rrd" or "csv"."""
-    content: bytes
-
-
-def _export_last_minute(panel: Panel) -> _ExportedRecording | None:
-    """Export the samples of the last minute; return None if there are none."""
+def _export_last_minute(panel: Panel) -> tuple[str, bytes] | None:
+    """Return the samples of the last minute as the ending, "rrd" or "csv", and the bytes of a file; None if there are none."""
     sampler = panel.sampler
     names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in EXPORTED_SERIES]
     for ending in ("rrd", "csv"):
         try:
             content = oscilloscope.FORMATS[ending](sampler, names, sampler.last_time - MAX_AGE_S, sampler.last_time)
-            return _ExportedRecording(ending, content) if content else None
+            return (ending, content) if content else None
         except ExtraMissing:
             continue
         except ArgumentError:
@@ -407,14 +400,14 @@ def read_saved_panel(path: str | os.PathLike) -> SavedPanel:
         ]
         sent = [
             ProgramCycle(
-                _check_time_ns(t),
-                _check_32_bit_number(k),
-                _check_32_bit_number(a),
-                None if v is None else _check_32_bit_number(v),
+                _check_integer(t, MAX_TIME_NS),
+                _check_integer(k),
+                _check_integer(a),
+                None if v is None else _check_integer(v),
             )
             for t, k, a, v in document["program"]
         ]
-        return SavedPanel(options, payloads, faults, sent, (_check_time_ns(document["start"]), start), now)
+        return SavedPanel(options, payloads, faults, sent, (_check_integer(document["start"], MAX_TIME_NS), start), now)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, DocumentError) or not isinstance(error, StageError):
             raise make_error(
@@ -430,17 +423,10 @@ def _is_valid_option(value: Any, kind: type | tuple[type, ...]) -> bool:
     return isinstance(value, kind) and not isinstance(value, bool) and short
 
 
-def _check_time_ns(value: Any) -> int:
-    """Return a time since power-up, ns, from JSON. Raises ValueError if it is no such time."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < MAX_TIME_NS:
-        raise ValueError(f"{value!r:.60} is no time in ns")
-    return value
-
-
-def _check_32_bit_number(value: Any) -> int:
-    """Return an unsigned 32-bit number from JSON: a chip's index, an address or a value. Raises ValueError for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 32:
-        raise ValueError(f"{value!r:.60} is not a number of 32 bits")
+def _check_integer(value: Any, end: int = 1 << 32) -> int:
+    """Return an integer from JSON: a chip's index, an address, a value, or a time. Raises ValueError unless it is in 0..`end`-1."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < end:
+        raise ValueError(f"{value!r:.60} is no whole number below {end}")
     return value
 
 

@@ -47,7 +47,8 @@ class FairStageLock:
         self._depth = depth = self._depth - 1
         self._release()
         if not (depth or self._is_open):
-            self._notify_line()
+            with self._mutex:
+                self._line.notify_all()
 
     def acquire(self, timeout: float | None = None) -> bool:
         """Wait for the lock.
@@ -145,10 +146,6 @@ class FairStageLock:
         finally:
             self._acting.discard(me)
             self._exempt.discard(me)
-
-    def _notify_line(self) -> None:
-        with self._mutex:
-            self._line.notify_all()
 
     def _wait_for_turn(self, depth: int, timeout: float | None) -> bool:
         """Acquire the lock `depth` times when it is this thread's turn; return False if that was not before `end`."""

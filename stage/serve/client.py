@@ -17,6 +17,8 @@ import json
 import socket
 import struct
 from collections.abc import Callable, Iterable
+from functools import reduce
+from operator import or_
 from typing import Any, Generic, NamedTuple, TypeVar
 
 VERSION, PORT, MAGIC = 1, 7240, b"PULSESTG"
@@ -348,10 +350,7 @@ class Batch(_Requests["Batch", "Batch"]):
 
 def _combine_bits(bits: Iterable[int]) -> int:
     """Return the bitwise OR of all words."""
-    word = 0
-    for bit in bits:
-        word |= bit
-    return word
+    return reduce(or_, bits, 0)
 
 
 def _unpack_answers(content: bytes) -> tuple[int, ...]:

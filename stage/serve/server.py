@@ -13,7 +13,7 @@ import errno
 import selectors
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 
 from stage.board import Board
@@ -58,7 +58,7 @@ class _Connection:
 
     def take_frame(self) -> tuple[int, int, bytes] | None:
         """Return the next complete frame as (kind, number, body), or None."""
-        if len(self.received) < client.HEAD.size:
+        if not self.has_frame():
             return None
         length, kind, number = client.HEAD.unpack_from(self.received)
         if length > client.MAX_BODY:
@@ -66,8 +66,6 @@ class _Connection:
                 f"a frame of {length:,} bytes; there are up to {client.MAX_BODY:,}. Is this host's protocol another?"
             )
         end = client.HEAD.size + length
-        if len(self.received) < end:
-            return None
         body = bytes(self.received[client.HEAD.size : end])
         del self.received[:end]
         self.since = time.monotonic() if self.received else None
@@ -148,7 +146,7 @@ class Server:
             while not self._stopping:
                 self._handle_events(self._compute_poll_timeout())
         finally:
-            for connection in list(self._list_connections()):
+            for connection in self._list_connections():
                 self._close_connection(connection)
             self._selector.close()
             for end in (self._listener, self._notifier, self._notified):
@@ -162,8 +160,8 @@ class Server:
 
     # --- events ---
 
-    def _list_connections(self) -> Iterator[_Connection]:
-        return (key.data for key in self._selector.get_map().values() if key.data is not None)
+    def _list_connections(self) -> list[_Connection]:
+        return [key.data for key in self._selector.get_map().values() if key.data is not None]
 
     def _handle_events(self, seconds: float | None) -> None:
         """Wait at most `seconds` (None: without limit) for events, and handle them."""
@@ -179,7 +177,7 @@ class Server:
                     self._receive_bytes(connection)
                 if events & selectors.EVENT_WRITE:
                     self._send_bytes(connection)
-        for connection in list(self._list_connections()):
+        for connection in self._list_connections():
             self._handle_frame(connection)
             self._update_connection(connection)
 
@@ -208,7 +206,7 @@ class Server:
             wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             wire.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             connection = _Connection(wire, f"{address[0]}:{address[1]}")
-            if sum(1 for _ in self._list_connections()) >= MAX_CONNECTIONS:
+            if len(self._list_connections()) >= MAX_CONNECTIONS:
                 wire.close()
                 return
             self._selector.register(wire, selectors.EVENT_READ, connection)

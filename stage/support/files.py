@@ -49,12 +49,9 @@ def check_readable(path: Any, file_kind: str, error: type[StageError] = FileErro
         error: Type of the error to raise for a missing or empty file, a folder, a device, a pipe, or missing permission.
     """
     path = to_path(path, error)
-    try:
-        status = path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        raise error(f"there is no {file_kind} {path}.") from None
-    except (OSError, ValueError) as why:
-        raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
+    status = _read_status(path, error, "read")
+    if status is None:
+        raise error(f"there is no {file_kind} {path}.")
     if stat.S_ISDIR(status.st_mode):
         raise error(f"{path} is a folder. Name a file in it.")
     refuse_irregular(path, file_kind, error)
@@ -70,14 +67,9 @@ def refuse_irregular(path: Path, file_kind: str, error: type[StageError] = FileE
 
     A missing file and a folder pass: the caller has errors of its own for these.
     """
-    try:
-        mode = path.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except (OSError, ValueError) as why:
-        raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
-    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise error(f"{path} is {_describe_mode(mode)}, and no {file_kind}. Name a regular file.")
+    status = _read_status(path, error, "read")
+    if status is not None and not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
+        raise error(f"{path} is {_describe_mode(status.st_mode)}, and no {file_kind}. Name a regular file.")
 
 
 def check_writable(
@@ -95,21 +87,22 @@ def check_writable(
         overwrite_hint: Text for errors that says how a user allows overwriting.
     """
     path = to_path(path, error)
-    kind = _read_mode(path, error)
-    if kind is not None and stat.S_ISDIR(kind):
+    status = _read_status(path, error, "written", " Choose another name.")
+    mode = 0 if status is None else status.st_mode
+    if stat.S_ISDIR(mode):
         raise error(f"{path} is a folder. Name a file in it.")
-    if kind is not None and (stat.S_ISBLK(kind) or stat.S_ISSOCK(kind)):
-        raise error(f"{path} is a {'disk' if stat.S_ISBLK(kind) else 'socket'}. Choose a file, a pipe or a device.")
+    if stat.S_ISBLK(mode) or stat.S_ISSOCK(mode):
+        raise error(f"{path} is a {'disk' if stat.S_ISBLK(mode) else 'socket'}. Choose a file, a pipe or a device.")
     if is_stream(path):
         if not os.access(path, os.W_OK):
             raise error(f"{path} cannot be written: no permission. Choose another.")
         return path
-    if kind is not None and not overwrite:
+    if status is not None and not overwrite:
         raise error(f"{path} exists. Choose another name, or {overwrite_hint}.")
     target = Path(os.path.realpath(path)) if path.is_symlink() else path
     if not target.parent.is_dir():
         raise error(f"{target.parent} is no folder. Make it first, or choose another.")
-    if not os.access(target.parent, os.W_OK) or (kind is not None and not os.access(target, os.W_OK)):
+    if not os.access(target.parent, os.W_OK) or (status is not None and not os.access(target, os.W_OK)):
         raise error(f"{path} cannot be written: no permission. Choose another folder.")
     return target
 
@@ -183,14 +176,17 @@ def find_figure_format(path: str | os.PathLike) -> str:
     return check_ending(path, (".png", *sorted(f".{kind}" for kind in known if kind != "png")), "a figure")[1:]
 
 
-def _read_mode(path: Path, error: type[FileError]) -> int | None:
-    """Read the mode of `path` as `os.stat` has it; None if nothing exists there."""
+def _read_status(path: Path, error: type[StageError], action: str, hint: str = "") -> os.stat_result | None:
+    """Return the status of `path`; None if nothing exists there.
+
+    Raises `error` if the system refuses: `path` cannot be `action` ("read"), and `hint` says what to do.
+    """
     try:
-        return path.stat().st_mode
+        return path.stat()
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as why:
-        raise error(f"{path} cannot be written: {getattr(why, 'strerror', None) or why}. Choose another name.") from why
+        raise error(f"{path} cannot be {action}: {getattr(why, 'strerror', None) or why}.{hint}") from why
 
 
 def _describe_mode(mode: int) -> str:

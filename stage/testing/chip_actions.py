@@ -54,16 +54,13 @@ def perform_acts(chip: Chip, acts: Iterable[Act]) -> list[Any]:
     return [perform_act(chip, act) for act in acts]
 
 
-def draw_acts(
-    chip_class: type[Chip], rng: np.random.Generator, count: int, resets: bool = True, start_writes: Sequence[Act] = ()
-) -> list[Act]:
+def draw_acts(chip_class: type[Chip], rng: np.random.Generator, count: int, start_writes: Sequence[Act]) -> list[Act]:
     """Draw random actions: registers with legal and illegal values, commands, random bytes, pins, time.
 
     Args:
         chip_class: Class of the chip.
         rng: Random numbers.
         count: Number of actions to draw; a register may take several writes.
-        resets: Whether resets are among them.
         start_writes: Writes that start a drive, see `list_start_writes`. Random commands then also go to their addresses.
     """
     acts: list[Act] = []
@@ -91,7 +88,7 @@ def draw_acts(
         elif what < 15 and chip_class.INPUTS:
             pin = int(rng.integers(len(chip_class.INPUTS)))
             acts.append(Act("pin", int(rng.integers(chip_class.AXES)), pin, int(rng.integers(2))))
-        elif what == 15 and resets:
+        elif what == 15:
             acts.append(Act("reset"))
         else:
             acts.append(Act("time", int(np.exp(rng.uniform(0, np.log(30_000))))))
@@ -215,11 +212,11 @@ def _convert_program(program: Program, chip: Chip) -> list[Act]:
     return acts
 
 
-def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
-    """Return the number of clocks until the drive of an axis ends, rounded up, at most `seconds`. A copy of the chip runs."""
+def count_clocks_to_end(chip: Chip, axis: int) -> int:
+    """Return the number of clocks until the drive of an axis ends, rounded up, at most 5 s. A copy of the chip runs."""
     probe = chip.make_replica()
     step = max(chip.clock_hz // 200, 1)
-    for _ in range(int(seconds * 200)):
+    for _ in range(1000):
         if not probe.CORE.is_busy.with_gil(probe.pointer, axis):
             break
         probe.advance(step)

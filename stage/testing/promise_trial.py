@@ -59,7 +59,7 @@ class PromiseTrial:
 
     def draw_acts(self, rng: np.random.Generator, count: int) -> list[Act]:
         """Draw random actions on the chip."""
-        return draw_acts(self.chip_class, rng, count, start_writes=self.start_writes)
+        return draw_acts(self.chip_class, rng, count, self.start_writes)
 
     def draw_program(self, rng: np.random.Generator) -> list[Act]:
         """Draw a program: moves of some axes, time, and then random acts; or random acts alone."""

@@ -31,7 +31,7 @@ def check_journals(trial: PromiseTrial) -> None:
             if every:  # some keep in their state how long a pulse is shown
                 _require_same_future(trial, chip, replay.state, rng)
             else:
-                _require_same_settled_state(trial, chip, replay.state, "after a replay")
+                _require_same_settled_state(trial, chip, replay.state)
             edges = np.concatenate(pieces)
             if (np.diff(edges["clock"]) < 0).any() or edges["clock"][-1] != chip.clock:
                 raise BrokenPromise(
@@ -63,13 +63,13 @@ def _check_scan_room(trial: PromiseTrial, rng: np.random.Generator) -> None:
             break
 
 
-def _require_same_settled_state(trial: PromiseTrial, chip: Chip, state: bytes, when: str) -> None:
-    """Raise BrokenPromise unless the chip has this state after its pins have settled."""
+def _require_same_settled_state(trial: PromiseTrial, chip: Chip, state: bytes) -> None:
+    """Raise BrokenPromise unless the chip has this state of a replay after its pins have settled."""
     other = chip.make_replica(state)
     for k in range(chip.AXES):
         other.output_word(k)
         chip.output_word(k)
-    trial.require_same_state(chip, other, when)
+    trial.require_same_state(chip, other, "after a replay")
 
 
 def _require_same_future(trial: PromiseTrial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
