@@ -19,7 +19,7 @@ from stage.board.errors import HostError, StormError
 from stage.board.interrupt_hooks import PythonInterruptHooks
 from stage.board.memory_mapped_ports import explain_missing_windows
 from stage.errors import StageError
-from stage.native import remove_attribute_access
+from stage.native import get_function_address, remove_attribute_access
 from stage.sim import compiled_stage_access, engine_records
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class Link:
         h["journals"] = 1
         self.publish_devices()
         h["serial"] = self.board.serial_lines.address
-        h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
+        h["call"] = get_function_address(self._call)
 
     def write_port_table(self) -> None:
         """Pass the table of ports to compiled code."""

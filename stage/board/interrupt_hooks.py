@@ -15,7 +15,7 @@ import numpy as np
 from stage.board.bus import host_record, host_requests, interrupt_controller, serial_core
 from stage.board.errors import HostError
 from stage.errors import ArgumentError
-from stage.native import remove_attribute_access
+from stage.native import get_function_address, remove_attribute_access
 
 if TYPE_CHECKING:
     from stage.board.host_record_link import Link
@@ -41,7 +41,7 @@ class PythonInterruptHooks:
         self._link = link
         self.functions: dict[int, Callable[[], None]] = {}
         self._trampoline = HOOK_TYPE(self._call_from_compiled_code)
-        self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
+        self.pointer = get_function_address(self._trampoline)
         self._left: list[np.ndarray] = []
         self.sources = np.zeros(interrupt_controller.SOURCE_COUNT, remove_attribute_access(interrupt_controller.SOURCE))
         self.use_table(self.sources)

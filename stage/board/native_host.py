@@ -138,8 +138,7 @@ class Host:
         Raises:
             ArgumentError: There is no line with this number.
         """
-        lines = self.board.serial_lines.lines[: self.SERIAL_LINES]
-        present = [0, *(k for k, line in enumerate(lines) if k and line.is_wired)]
+        present = self.board.serial_lines.list_present(self.SERIAL_LINES)
         if number not in present:
             raise ArgumentError(
                 f"number={number!r}: the serial lines of {self.path.name} are {', '.join(map(str, present))}."

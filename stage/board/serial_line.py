@@ -57,6 +57,10 @@ class SerialLines:
         for line, record in zip(self.lines, rows.view(remove_attribute_access(serial_core.SERIAL_LINE)), strict=True):
             line.record = record
 
+    def list_present(self, count: int) -> list[int]:
+        """Return which of the first `count` lines the firmware has; the first may be formed by a device on the bus."""
+        return [0, *(k for k, line in enumerate(self.lines[:count]) if k and line.is_wired)]
+
     @property
     def address(self) -> int:
         """Address of the LINE records."""

@@ -134,15 +134,17 @@ class SerialScript(SerialEnd):
         commands: The commands, one or more.
 
     Attributes:
+        is_over: Whether all commands have been executed, and the firmware has received what the last one sends.
         ends_with_send: Whether the last command is `send`.
     """
+
+    is_over = False
 
     def __init__(self, name: str, commands: list[ScriptCommand]):
         self._name, self._unread = name, bytearray()
         self._due: int | None = None
         self._expected = b""
         self._begin: int | None = None
-        self._is_over = False
         self._room = LINE_BUFFER_SIZE
         self._command = commands[0]
         self.ends_with_send = commands[-1].name == "send"
@@ -152,11 +154,6 @@ class SerialScript(SerialEnd):
     def pausing_byte(self) -> int:
         """Last byte of the text that the present `expect` waits for, or NO_BYTE."""
         return self._expected[-1] if self._expected else NO_BYTE
-
-    @property
-    def is_over(self) -> bool:
-        """True when all commands have been executed, and the firmware has received what the last one sends."""
-        return self._is_over
 
     def exchange(self, sent: bytes, now: int, room: int) -> bytes:
         """Execute commands up to the time `now` (ns), and return what they send.
@@ -168,10 +165,10 @@ class SerialScript(SerialEnd):
         self._begin = now if self._begin is None else self._begin
         self._now, self._room = now, room
         outgoing = b""
-        while not self._is_over:
+        while not self.is_over:
             step = next(self._steps, None)
             if step is None:
-                self._is_over = True
+                self.is_over = True
             elif not step:
                 break
             else:
@@ -181,7 +178,7 @@ class SerialScript(SerialEnd):
 
     def choose_next_exchange(self, now: int) -> int | None:
         """Return the time (ns) at which a wait ends or an `expect` fails, now if the script is over, or None."""
-        return now if self._is_over else self._due
+        return now if self.is_over else self._due
 
     def describe_awaited_event(self) -> str:
         """Describe in words the event for which the script still waits."""

@@ -44,23 +44,18 @@ class UartWiring:
 
     def __init__(self, host: Host, wiring: PinWiring):
         self._host = host
+        self._present = host.board.serial_lines.list_present(host.SERIAL_LINES)
         self._chips: dict[str, Any] = {name: axis.chip for name, axis in host.board.stage.axes.items()}
         self._lines = [self._connect(number, axes) for number, axes in wiring.uarts]
         self._unconnected = [axis for axis, name in wiring.unconnected if name == UART_LINE]
-        self._free = [k for k in self._list_present_lines() if k not in dict(wiring.uarts)]
+        self._free = [k for k in self._present if k not in dict(wiring.uarts)]
         for number in self._free if self._lines or self._unconnected else ():
             host.get_serial_port(number)  # so that what the firmware sends over it is kept
 
-    def _list_present_lines(self) -> list[int]:
-        """Return the numbers of the firmware's serial lines; the first may be formed by a device on the bus."""
-        lines = self._host.board.serial_lines.lines[: self._host.SERIAL_LINES]
-        return [0, *(k for k, line in enumerate(lines) if k and line.is_wired)]
-
     def _connect(self, number: int, axes: tuple[str, ...]) -> ConnectedLine:
         """Connect the UARTs of axes to a serial line. Raises ArgumentError."""
-        present = self._list_present_lines()
-        if number not in present:
-            names = ", ".join(map(name_serial_line, present))
+        if number not in self._present:
+            names = ", ".join(map(name_serial_line, self._present))
             raise ArgumentError(
                 f"--pins {axes[0]}.uart={name_serial_line(number)}: the serial lines of {self._host.path.name} are {names}. "
                 "Choose one of them."

@@ -29,10 +29,17 @@ from stage.native.hot_functions import (
     restore_previous_float_mode,
     stack_mark,
 )
-from stage.native.record_dtypes import address_of, allocate_on_stack, array_at, record, remove_attribute_access
+from stage.native.record_dtypes import (
+    address_of,
+    allocate_on_stack,
+    array_at,
+    get_function_address,
+    record,
+    remove_attribute_access,
+)
 
 __all__ = [
     "COMPILED", "ExportedFunction", "address_of", "array_at", "array_of", "declare_address_call", "enter_usual_float_mode",
-    "make_compare_and_exchange", "exported", "floor", "get_frame_address", "greatest", "hot", "least", "record",
-    "restore_previous_float_mode", "allocate_on_stack", "stack_mark", "remove_attribute_access",
+    "make_compare_and_exchange", "exported", "floor", "get_frame_address", "get_function_address", "greatest", "hot", "least",
+    "record", "restore_previous_float_mode", "allocate_on_stack", "stack_mark", "remove_attribute_access",
 ]  # fmt: skip

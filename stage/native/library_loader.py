@@ -14,6 +14,7 @@ from stage.native.library_manifest import (
     explain_library_misfit,
     find_library,
 )
+from stage.native.record_dtypes import get_function_address
 
 __all__ = ["compute_source_digest", "describe_target", "find_function_address"]
 
@@ -25,8 +26,7 @@ def find_function_address(module: str, symbol: str) -> int:
         module: Module of the function; the library is that of its package.
         symbol: Name of the function in the library.
     """
-    function = getattr(_load_library(module.partition(".")[0]), symbol)
-    return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
+    return get_function_address(getattr(_load_library(module.partition(".")[0]), symbol))
 
 
 @cache

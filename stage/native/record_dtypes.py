@@ -66,6 +66,11 @@ def address_of(item: np.ndarray | np.void) -> int:
     return int(item.__array_interface__["data"][0])
 
 
+def get_function_address(function: Any) -> int:
+    """Return the address of a ctypes function."""
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+
 @lru_cache(1024)
 def _view_memory(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """Return an array over the memory at an address, from a cache."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.native import array_at
+from stage.native import array_at, get_function_address
 from stage.targets import avr_serial
 from stage.targets.simavr_structure_offsets import AVR_IRQ_T, AVR_MODULE_T, AVR_UART_T, list_modules, view_structure
 
@@ -96,7 +96,7 @@ class AvrUart:
         u.register_timer = avr.find_function_address("avr_cycle_timer_register")
         self._sent_handler, self._receive = avr_serial.handle_sent_byte.pointer, avr_serial.receive_byte.pointer
         self._deliver = avr_serial.deliver_sent_byte.pointer
-        u.deliver = ctypes.cast(self._deliver, ctypes.c_void_p).value
+        u.deliver = get_function_address(self._deliver)
         layout = find_uart_layout(irqs, int(record.avr), name, int(record.hz))
         if layout is not None:
             u.connected, u.line, u.byte_cycles_at = 1, line, layout.byte_cycles_at

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 from stage.board.errors import LibraryError
 from stage.board.firmware_library import ELF_HEAD_SIZE, MACHINES, read_elf_head
 from stage.errors import add_article
-from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
 from stage.support.subprocesses import run_program
 from stage.targets.supported_processors import AVRS
@@ -65,7 +64,7 @@ class Segment(NamedTuple):
 
 def read_machine_name(path: Path) -> str:
     """Return the name of the machine for which an ELF file was built, or "" for other files. Raises FileError."""
-    head = read_elf_head(_read_program_file(path)[:ELF_HEAD_SIZE])
+    head = read_elf_head(read_bytes(path, "program", MAX_FILE_BYTES)[:ELF_HEAD_SIZE])
     return MACHINES.get(head[1], f"machine {head[1]}") if head else ""
 
 
@@ -94,7 +93,7 @@ class Elf:
         from elftools.common.exceptions import ELFError
         from elftools.elf.elffile import ELFFile
 
-        self.path, content = path, _read_program_file(path)
+        self.path, content = path, read_bytes(path, "program", MAX_FILE_BYTES)
         machine_name = read_machine_name(path)
         if not machine_name:
             raise LibraryError(f"{path} is no ELF file: {mcu} runs what its linker makes, for example by {how}.")
@@ -307,11 +306,3 @@ def check_arm(elf: Elf, mcu: str, option: str) -> None:
     raise LibraryError(
         f"{elf.path} was built for {target}, and this is {add_article(mcu)}. {hint} by {option.format(mcu=mcu)}."
     )
-
-
-def _read_program_file(path: Path) -> bytes:
-    """Read the bytes of a program file. Raises FileError."""
-    refuse_irregular(path, "program")
-    if not path.is_file():
-        raise FileError(f"{path}: there is no such file.")
-    return read_bytes(path, "program", MAX_FILE_BYTES)

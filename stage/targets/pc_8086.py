@@ -16,7 +16,6 @@ from typing import Any
 from stage.board.board import Board
 from stage.board.bus.host_record import IN8, IN16, OUT8, OUT16
 from stage.board.errors import LibraryError
-from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
 from stage.targets import dos_and_bios_services
 from stage.targets.elf import MAX_FILE_BYTES, read_machine_name
@@ -145,9 +144,6 @@ class Pc(UnicornProcessor):
 
     def _load_program(self, path: Path) -> None:
         """Load a .COM or .EXE file behind its prefix, and set the registers for its start."""
-        refuse_irregular(path, "program")
-        if not path.is_file():
-            raise FileError(f"{path}: there is no such file.")
         if machine := read_machine_name(path):
             raise LibraryError(f"{path} was built for {machine} (ELF), and an 8086 runs a .COM or an .EXE of DOS.")
         if path.suffix.lower() in SOURCE_SUFFIXES:

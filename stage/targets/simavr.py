@@ -23,7 +23,7 @@ from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostError, LibraryError
 from stage.board.pin_assignment import PinLine, WiringFinding
 from stage.errors import StageError
-from stage.native import address_of, array_at
+from stage.native import address_of, array_at, get_function_address
 from stage.targets import avr_clock_and_pins, avr_uart, simavr_structure_offsets, supported_processors
 from stage.targets.avr_bus_wiring import AvrBus, BusPins, encode_ioctl_request
 from stage.targets.avr_step_dir_pins import AvrLines
@@ -178,7 +178,7 @@ class _Library:
 
     def find_function_address(self, name: str) -> int:
         """Return the address of a function of the library by its name."""
-        return ctypes.cast(self.library[name], ctypes.c_void_p).value or 0
+        return get_function_address(self.library[name])
 
 
 def _open_library(isolated: bool) -> _Library:
@@ -243,7 +243,7 @@ class LoadedAvr:
     def _set_clock(self, hz: int) -> None:
         """Set the clock in Hz, keep simavr from sleeping in real time, and find the fields of the avr_t that this class reads."""
         row = simavr_structure_offsets.view_structure(self._avr, simavr_structure_offsets.AVR_T)
-        row["hz"], row["sleep"] = hz, ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value
+        row["hz"], row["sleep"] = hz, get_function_address(self._simavr.no_op)
         at = {
             name: self._avr + simavr_structure_offsets.get_offset(simavr_structure_offsets.AVR_T, name)
             for name in row.dtype.names
@@ -319,7 +319,7 @@ class LoadedAvr:
         t.has_pending = library.find_function_address("avr_has_pending_interrupts")
         t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
         self._tick = avr_clock_and_pins.end_quantum.pointer
-        t.timer = ctypes.cast(self._tick, ctypes.c_void_p).value
+        t.timer = get_function_address(self._tick)
 
     def find_irq(self, port: int, number: int) -> int:
         """Return a simavr IRQ of a port.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.native import ExportedFunction, address_of
+from stage.native import ExportedFunction, address_of, get_function_address
 from stage.targets import avr_timers, avr_uart_data_register_flag, simavr_structure_offsets
 from stage.targets.avr_clock_and_pins import PORT_LETTERS
 from stage.targets.avr_timers import CAPTURE, COMPARE_UNIT, N_UNITS, ORIGINAL_HANDLER, SIMAVR_ACCESS, TIMER, VECTOR
@@ -83,12 +83,12 @@ class SimavrRegisterHandlers:
         row["response"] = RESPONSE + (int(self._avr["flash_end"]) >= THREE_BYTE_FLASH)
         row["event"] = self._get_address(avr_timers.handle_timer_event)
         for name, function in _SIMAVR_FUNCTIONS.items():
-            row[name] = ctypes.cast(self._library[function], ctypes.c_void_p).value
+            row[name] = get_function_address(self._library[function])
 
     def _get_address(self, function: ExportedFunction) -> int:
         """Return the address of a compiled function, which simavr may call from now on."""
         self._pointers.append(function.pointer)
-        return ctypes.cast(function.pointer, ctypes.c_void_p).value or 0
+        return get_function_address(function.pointer)
 
     def _fill_timer(self, timer_index: int, address: int) -> None:
         """Fill the TIMER record number `timer_index` for the timer of simavr at an address."""
@@ -101,7 +101,7 @@ class SimavrRegisterHandlers:
         row["has_external_clock"] = unpack_register_address(timer["clock_pin"]) != 0
         row["maximum"] = row["top"] = 0xFFFF if timer["count_high"] else 0xFF
         if timer["icr_high"]:
-            row["capture_irq"] = simavr_structure_offsets.find_capture_irq(address)
+            row["capture_irq"] = simavr_structure_offsets.find_output_irq(address, -1)
         row["strobes"], row["strobe_mask"] = _find_force_compare_bits(timer)
         compare = address + get_offset(simavr_structure_offsets.AVR_TIMER_T, "compare")
         places = [compare + n * simavr_structure_offsets.AVR_TIMER_COMP_T.itemsize for n in range(CAPTURE)]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stage.errors import StageError
-from stage.native import array_at
+from stage.native import array_at, get_function_address
 
 SUPPORTED_VERSIONS = "1.6 or 1.7"
 """Their structures are the same as far as they are described."""
@@ -131,17 +131,12 @@ def find_irq(library: ctypes.CDLL, avr: int, module: str) -> int:
 
 
 def find_output_irq(timer: int, unit: int) -> int:
-    """Return the simavr IRQ of a compare output of a timer.
+    """Return the simavr IRQ of a compare output of a timer; unit -1 is its capture pin.
 
     The outputs are the last three IRQs of the timer; that of the capture pin precedes them.
     """
     module = view_structure(timer, AVR_MODULE_T)
     return int(module["irq"]) + (int(module["n_irqs"]) - 3 + unit) * AVR_IRQ_T.itemsize
-
-
-def find_capture_irq(timer: int) -> int:
-    """Return the simavr IRQ of a timer's capture pin."""
-    return find_output_irq(timer, -1)
 
 
 _checked: dict[int, str] = {}
@@ -231,8 +226,8 @@ def _find_core_layout_mismatch(library: ctypes.CDLL, avr: int) -> str:
         "sreg": ([int(s["flags"][7]) for s in states], [0, 0, 1]),
         "interrupt_state": ([int(s["interrupt_wait"]) for s in states], [0, 0, -1]),
         "run_cycle_count": ([int(end[name]) for name in ("cycles_left", "cycle_limit")], [1, 1]),
-        "run": (int(end["run"]), _find_function_address(library, "avr_callback_run_raw")),
-        "sleep": (int(end["sleep"]), _find_function_address(library, "avr_callback_sleep_raw")),
+        "run": (int(end["run"]), get_function_address(library["avr_callback_run_raw"])),
+        "sleep": (int(end["sleep"]), get_function_address(library["avr_callback_sleep_raw"])),
         "flash": (_read_memory(int(end["flash"]), len(code)), code),
         "data": (_read_memory(int(end["data"]) + _SPL, 2), _RAM_END.to_bytes(2, "little")),
     }
@@ -273,8 +268,3 @@ def _find_module_layout_mismatch(library: ctypes.CDLL, avr: int) -> str:
     if uart is None or (int(uart["control"]), unpack_register_address(uart["transmitter"])) != (_UCSRB, _UCSRB):
         return "the UART"
     return "" if unpack_register_address(uart["empty"]["flag"]) == _UCSRB - 1 else "an interrupt of the UART"
-
-
-def _find_function_address(library: ctypes.CDLL, name: str) -> int:
-    """Return the address of a function of the library."""
-    return ctypes.cast(library[name], ctypes.c_void_p).value or 0

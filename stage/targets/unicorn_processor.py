@@ -10,7 +10,7 @@ import numpy as np
 from stage.board.board import Board
 from stage.board.bus import host_record, host_requests
 from stage.board.errors import HostError
-from stage.native import address_of
+from stage.native import address_of, get_function_address
 from stage.targets import processor_clock_and_bus_cycles
 from stage.targets.gdb_server import DebugServer
 
@@ -99,7 +99,7 @@ class UnicornProcessor:
             link.pointer,
             host_requests.request.address,
         )
-        t.stop, t.reg_read = (_get_function_address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
+        t.stop, t.reg_read = (get_function_address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
         t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER
         t.quantum = max(1, round(QUANTUM_S * hz))
         self.ended, self.code = False, 0
@@ -160,7 +160,7 @@ class UnicornProcessor:
             below: Number of ports, from 0 on, that belong to the processor itself.
         """
         self._functions.append(function)
-        self.record.internal_port, self.record.n_internal_ports = _get_function_address(function), below
+        self.record.internal_port, self.record.n_internal_ports = get_function_address(function), below
         self.add_hook(_INSN, processor_clock_and_bus_cycles.execute_in.pointer, _IN)
         self.add_hook(_INSN, processor_clock_and_bus_cycles.execute_out.pointer, _OUT)
 
@@ -350,8 +350,3 @@ class UnicornProcessor:
 
     def close(self) -> None:
         """Do nothing; Unicorn frees its memory together with its object."""
-
-
-def _get_function_address(function: Any) -> int:
-    """Return the address of a ctypes function."""
-    return ctypes.cast(function, ctypes.c_void_p).value or 0

@@ -17,8 +17,9 @@ from stage.board.devices.device import Device, DeviceDescriber, Encoder
 from stage.board.errors import LibraryError
 from stage.board.temporary_folders import TemporaryFolder
 from stage.errors import ArgumentError
+from stage.native import get_function_address
 from stage.support.argument_checks import explain_arguments
-from stage.support.files import FileError, refuse_irregular
+from stage.support.files import check_readable
 
 ABI = 1
 UserDescriber = Callable[[int, int, bool], str]
@@ -121,7 +122,7 @@ class CDevice(UserDevice):
             raise LibraryError(f"{self.path}: a state of {size:,} bytes; a device has at most {MAX_STATE_BYTES:,}.")
         self.state = [np.zeros(-(-size // 8), np.int64)]
         self.access, self.pulls = (
-            _find_function_address(self._library, f"pulsestage_device_{name}") for name in ("access", "pulls")
+            get_function_address(self._library[f"pulsestage_device_{name}"]) for name in ("access", "pulls")
         )
 
     @property
@@ -160,9 +161,7 @@ def _load_copy(path: Path, copy: Path, source: Any) -> ctypes.CDLL:
         copy: Path of the copy.
         source: Source of the library, for messages.
     """
-    refuse_irregular(path, "library")
-    if not path.is_file():
-        raise FileError(f"{path}: there is no such library.")
+    check_readable(path, "library")
     shutil.copy(path, copy)
     try:
         loaded = ctypes.CDLL(str(copy))
@@ -180,8 +179,3 @@ def _load_copy(path: Path, copy: Path, source: Any) -> ctypes.CDLL:
             f"{source} was built with pulsestage_device.h of version {abi}, and this is version {ABI}: build it again."
         )
     return loaded
-
-
-def _find_function_address(loaded: ctypes.CDLL, name: str) -> int:
-    """Return the address of an exported function of a library; 0 if the library has none of this name."""
-    return ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value or 0

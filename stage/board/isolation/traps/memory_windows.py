@@ -39,7 +39,7 @@ from stage.board.memory_mapped_ports import (
     parse_windows,
 )
 from stage.errors import ArgumentError, StageError
-from stage.native import array_at
+from stage.native import array_at, get_function_address
 
 if TYPE_CHECKING:
     from stage.board.firmware_library import Library
@@ -194,18 +194,13 @@ class MemoryWindows:
 def _install_handler() -> None:
     """Install the handler of faults. Faults that are no accesses to windows go to the previous handler."""
     if not _thunks:
-        _handler_data["opcodes"], _handler_data["signal"] = TABLE.ctypes.data, _get_address(_libc.signal)
-        _handler_data["request"] = _get_address(host_requests.request.pointer)
+        _handler_data["opcodes"], _handler_data["signal"] = TABLE.ctypes.data, get_function_address(_libc.signal)
+        _handler_data["request"] = get_function_address(host_requests.request.pointer)
         _thunks.append(_make_thunk())
     action = get_action(SIGSEGV)
     if action.handler != _thunks[0]:
         _handler_data["previous"] = action.handler or 0
         set_action(SIGSEGV, SignalAction(_thunks[0], flags=WITH_INFO | NO_MASK | ON_STACK))
-
-
-def _get_address(function: Any) -> int:
-    """Return the address of a ctypes function."""
-    return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
 def _make_thunk() -> int:
@@ -220,7 +215,7 @@ def _make_thunk() -> int:
         + b"\x48\x81\xec" + size  # sub rsp, size
         + b"\x49\x89\xe0\x4d\x89\x00"  # mov r8, rsp; mov [r8], r8
         + b"\x48\xb9" + struct.pack("<Q", _handler_data.ctypes.data)  # mov rcx, the SPACE record
-        + b"\x48\xb8" + struct.pack("<Q", _get_address(x86_execution.handle_fault.pointer))  # mov rax, handle_fault
+        + b"\x48\xb8" + struct.pack("<Q", get_function_address(x86_execution.handle_fault.pointer))  # mov rax, handle_fault
         + b"\xff\xd0"  # call rax
         + b"\x48\x81\xc4" + size  # add rsp, size
         + b"\x5a\x5e\x5f"  # pop rdx, rsi, rdi

@@ -19,6 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage.native import get_function_address
+
 _SLEEPS: dict[str, Callable[..., str]] = {
     "sleep": lambda seconds, *_: f"sleep({seconds & 0xFFFFFFFF})",
     "usleep": lambda us, *_: f"usleep({us & 0xFFFFFFFF})",
@@ -126,7 +128,7 @@ def _redirect(library: LoadedLibrary, functions: Mapping[str, Any]) -> None:
             name = ctypes.string_at(names + ctypes.c_uint32.from_address(symbol).value).decode(errors="replace")
             if name in functions and ctypes.c_uint16.from_address(symbol + _SECTION_OFFSET).value == 0:
                 for offset in relocations["offset"][numbers == number].tolist():
-                    _set_slot(base + offset, ctypes.cast(functions[name], ctypes.c_void_p).value or 0)
+                    _set_slot(base + offset, get_function_address(functions[name]))
 
 
 def _make_absolute(address: int, base: int) -> int:
