@@ -69,12 +69,8 @@ from stage.sim.program import Program
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
 
-ACTION_RANGES = {
-    "start": (200.0, 6000.0),
-    "drive": (2000.0, 60_000.0),
-    "up": (0.01, 0.3),
-    "down": (0.01, 0.3),
-}  # pps, pps, s, s
+ACTION_RANGES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}
+"""Ranges of the actions: rates in pps, ramps in s."""
 ENCODER_COUNT_M = 5e-6
 MIN_RAMP_S = 2e-3
 MEMORIES = ("all", "last")

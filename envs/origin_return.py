@@ -104,10 +104,7 @@ class Config(settings.Settings):
     returns: settings.Count = 5
     payloads: settings.PayloadRange = (0.0, 10.0)
     payload_on: settings.AxisName | None = None
-    frictions: Annotated[settings.Pair, settings.RangeSetting(1e-3)] = (
-        0.5,
-        2.0,
-    )
+    frictions: Annotated[settings.Pair, settings.RangeSetting(1e-3)] = (0.5, 2.0)
     drift: Annotated[float, settings.NumberSetting(high=START_LIMIT_CLEARANCE_M)] = 0.0
     ez: Annotated[int, settings.NumberSetting(high=16, integer=True)] = 0
     multiplier: settings.Count = 30

@@ -41,10 +41,8 @@ from stage.sim.program import Program
 MOTIONS = ("step", "trapezoid")
 SAMPLE_INTERVAL_S = 1e-3
 """Time between two samples of the carriage's position."""
-SMALL, UNREST_SCALE = (
-    10.0,
-    100.0,
-)  # counts that scale to 1/2 in an observation; counts of unrest that cost unrest_weight
+SMALL, UNREST_SCALE = 10.0, 100.0
+"""Counts that scale to 1/2 in an observation, and counts of unrest that cost unrest_weight."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ class ServoTuning(TuningTask[Config]):
 
     def make_spaces_and_arrays(self) -> None:
         c = self.config
-        self.samples, self.tail = int(round(c.limit / SAMPLE_INTERVAL_S)), int(round(c.rest / SAMPLE_INTERVAL_S))
+        self.samples, self.tail = round(c.limit / SAMPLE_INTERVAL_S), round(c.rest / SAMPLE_INTERVAL_S)
         super().make_spaces_and_arrays()
         self.goal = np.zeros(self.n)  # absolute position, counts of the encoder
 
@@ -155,14 +153,12 @@ class ServoTuning(TuningTask[Config]):
         samples = played.results[:, self.first + 1 : self.first + 2 * self.samples : 2] * 1e-12
         sign = np.sign(self.axis.gear)
         error = self.goal[:, None] - sign * samples / self.axis.meters_per_pulse  # counts
-        ends = played.extremes[:, self.axis.plant.qpos] * (
-            sign / self.axis.meters_per_pulse
-        )  # extremes of the rest, over all physics steps
+        # extremes of the rest, over all physics steps
+        ends = played.extremes[:, self.axis.plant.qpos] * (sign / self.axis.meters_per_pulse)
         ends = np.where(np.isfinite(ends), self.goal[:, None] - ends, np.inf)
         outside = np.abs(error) > c.deadband
-        settled_at = self.samples - np.argmax(
-            outside[:, ::-1], axis=1
-        )  # samples up to the last one outside the deadband
+        # samples up to the last one outside the deadband
+        settled_at = self.samples - np.argmax(outside[:, ::-1], axis=1)
         finished = (np.abs(ends) <= c.deadband).all(axis=1) & ~outside[:, -1]
         settled = np.where(finished, np.where(outside.any(axis=1), settled_at, 0), self.samples) * SAMPLE_INTERVAL_S
         overshoot = np.maximum(-error.min(axis=1), 0.0)
@@ -173,9 +169,8 @@ class ServoTuning(TuningTask[Config]):
             "unrest": -c.unrest_weight * np.minimum(unrest / UNREST_SCALE, 10.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
         }
-        overshoot, unrest, last = (
-            np.rint(counts) for counts in (overshoot, unrest, error[:, -1])
-        )  # whole counts, as an encoder has them
+        # whole counts, as an encoder has them
+        overshoot, unrest, last = (np.rint(counts) for counts in (overshoot, unrest, error[:, -1]))
         info = {"settled": settled, "overshoot": overshoot, "unrest": unrest, "error": last, "finished": finished}
         shares = overshoot / (overshoot + SMALL), unrest / (unrest + SMALL)
         self.set_move_results(parts, info, np.stack([settled / c.limit, *shares, finished * 1.0], axis=1))

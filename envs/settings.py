@@ -223,9 +223,8 @@ class Settings:
 def _list_setting_kinds(config: type) -> list[tuple[str, Any]]:
     """List the name and the check of each setting that has one. A setting with several checks occurs several times."""
     hints = get_type_hints(config, include_extras=True)
-    parts = [
-        (name, part) for name, hint in hints.items() for part in (hint, *get_args(hint))
-    ]  # also the parts of `KIND | None`
+    # also the parts of `KIND | None`
+    parts = [(name, part) for name, hint in hints.items() for part in (hint, *get_args(hint))]
     return [(name, kind) for name, part in parts for kind in getattr(part, "__metadata__", ())]
 
 

@@ -84,10 +84,7 @@ class Config(MachineSettings, synchronized_move.Config):
     """
 
     distances: CountRange = (1_600, 12_000)
-    rate: Annotated[float | Pair, NumberOrRangeSetting(further_condition=", not below fl")] = (
-        2_000.0,
-        60_000.0,
-    )
+    rate: Annotated[float | Pair, NumberOrRangeSetting(further_condition=", not below fl")] = (2_000.0, 60_000.0)
     ramps: Annotated[Pair, RangeSetting(1e-3, high=1.0)] = (0.01, 0.3)
     judge_at: AxisName | None = None
     proofs: Annotated[int, NumberSetting(low=0, high=64, integer=True)] = 3

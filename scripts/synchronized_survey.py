@@ -112,10 +112,7 @@ def survey(moves, pairs, seed):
     print_row("perfect axes: rates exactly in ratio", perfect)
     print_row("one R7 for both axes, the finest", common)
     for delay in DELAYS[1:]:
-        print_row(
-            f"bus cycle {delay * 1e6:.0f} us, planned for",
-            [moves(d, delay).deviation.pulses for d in requests],
-        )
+        print_row(f"bus cycle {delay * 1e6:.0f} us, planned for", [moves(d, delay).deviation.pulses for d in requests])
         print_row(
             f"bus cycle {delay * 1e6:.0f} us, not planned for",
             [r.plan.with_bus_delay(delay).deviation for r in reports],

@@ -60,9 +60,8 @@ def draw_overhead(ax: Any, results: Results) -> None:
         figures = [results.figures[f"environment.{kind}_{k}"] for k in skips]
         ax.bar(x + shift, [f.median for f in figures], 0.36, color=color, label=name)
         for at, f in zip(x + shift, figures, strict=True):
-            ax.plot(
-                [at, at], [max(f.minimum, 0), f.maximum], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt"
-            )  # a difference; bars begin at 0
+            # of a difference the minimum may be below 0, and bars begin at 0
+            ax.plot([at, at], [max(f.minimum, 0), f.maximum], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt")
             ax.annotate(
                 f"{f.median:.3g}",
                 (at, max(f.maximum, 0)),

@@ -24,12 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def measure(run: Run) -> Iterator[Figure]:
     """Yield the figures of this subject."""
-    works = {
-        "python": "pass",
-        "import": "import stage",
-        "bare": BARE,
-        "warm": FIRST_STEP,
-    }
+    works = {"python": "pass", "import": "import stage", "bare": BARE, "warm": FIRST_STEP}
     t = measure_alternately(
         {name: (do_nothing, lambda c=code: run_python(c)) for name, code in works.items()}, run.choose(run.rounds, 3), 3
     )

@@ -62,8 +62,7 @@ def do_nothing() -> None:
 def read_resident_memory() -> int:
     """Return the resident memory of this process in bytes; Linux only."""
     gc.collect()
-    with Path("/proc/self/statm").open() as file:
-        return int(file.read().split()[1]) * PAGE
+    return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE
 
 
 def can_read_resident_memory() -> bool:

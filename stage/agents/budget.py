@@ -87,9 +87,8 @@ class BudgetMeter:
     def list_remaining(self) -> dict[str, Any]:
         """Return what the agent may still use, by the names of the budget; None: no limit."""
         used, allowed = self.list_used(), vars(self.budget)
-        return {
-            n: None if most is None else max(round(most - used[n], 9), 0) + 0 for n, most in allowed.items()
-        }  # no -0.0
+        # + 0: no -0.0
+        return {n: None if most is None else max(round(most - used[n], 9), 0) + 0 for n, most in allowed.items()}
 
     def list_used(self) -> dict[str, Any]:
         """Return what the agent has used, by the names of the budget."""

@@ -658,11 +658,9 @@ class Library:
     def close(self) -> None:
         """Unload the library."""
         if self._pin_use is not None:
-            self._pin_use, self._pin_reads, self._serial_use = (
-                self._pin_use.copy(),
-                self._pin_reads.copy(),
-                self._serial_use.copy(),
-            )  # for `find_wiring_findings`
+            # for `find_wiring_findings`
+            tables = (self._pin_use, self._pin_reads, self._serial_use)
+            self._pin_use, self._pin_reads, self._serial_use = (table.copy() for table in tables)
         if platform.system() != "Windows":
             import _ctypes
 

@@ -395,9 +395,8 @@ class NativeHost(Host):
             )
         mapped = memory_mapped_ports.parse_windows(map)
         wiring = parse_firmware_pins(pins, board.stage)
-        self._scratch = (
-            TemporaryFolder() if firmware_library.are_sources(firmware) else None
-        )  # what is built goes with the host
+        # what is built goes with the host
+        self._scratch = TemporaryFolder() if firmware_library.are_sources(firmware) else None
         folder = self._scratch.path if self._scratch else None
         path = firmware_library.find_or_build_library(firmware, flags, platform, folder, cost > 0, libraries)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12), wiring), board, isolated, patience)

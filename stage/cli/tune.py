@@ -19,9 +19,8 @@ from stage.errors import ArgumentError, StageError
 from stage.units import OTHER_FACTORS, POSITION_FACTORS, POSITION_UNITS, parse_quantity
 
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
-SHORT_MOVE_RAD = (
-    2 * math.pi / 10
-)  # turn of the motor; a shorter distance without a unit was probably meant in millimeters
+SHORT_MOVE_RAD = 2 * math.pi / 10
+"""Turn of the motor; a shorter distance without a unit was probably meant in millimeters."""
 
 
 def add_subcommand(commands: Any) -> None:

@@ -119,9 +119,8 @@ class OscilloscopeView:
         self.trigger_row.set_visibility(self.mode.value != "free")
         level = 0.5 if self.level.value is None else self.level.value
         trigger = (self.mode.value, self.source.value or LOST, self.edge.value, level)
-        if (
-            trigger == self._requested_trigger
-        ):  # a browser sends a value again when its field is left: the picture stays
+        # a browser sends a value again when its field is left: the picture stays
+        if trigger == self._requested_trigger:
             return
         self._requested_trigger = trigger
         try:

@@ -148,7 +148,6 @@ TYPE_CHECKS: dict[str, TypeCheck] = {
     "type": (lambda v: isinstance(v, type) and hasattr(v, "MAP"), "a class of chips, as PCL240K"),
     "Task": (lambda v: hasattr(v, "pulses") and hasattr(v, "stage"), "a Task"),
     "Card": (lambda v: hasattr(v, "episodes"), "a card, as CARDS['line']"),
-    "Submission": (lambda v: hasattr(v, "write"), "an entry that `play` or `read` returned"),
     "Tool": (lambda v: hasattr(v, "act"), "a Tool"),
     "Board": (lambda v: hasattr(v, "strays"), "a board"),
     "Trial": (lambda v: hasattr(v, "suggest_int"), "a trial of Optuna"),

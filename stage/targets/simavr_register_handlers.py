@@ -161,10 +161,7 @@ class SimavrRegisterHandlers:
         if timer["count_high"]:
             reads[int(timer["count_high"])] = avr_timers.read_high_byte
         if timer["icr_high"]:
-            reads |= {
-                int(timer["icr_low"]): avr_timers.read_capture,
-                int(timer["icr_high"]): avr_timers.read_high_byte,
-            }
+            reads |= {int(timer["icr_low"]): avr_timers.read_capture, int(timer["icr_high"]): avr_timers.read_high_byte}
         for register, function in reads.items():
             functions = self._avr["registers"][register - simavr_structure_offsets.REGISTER_BEGIN]
             functions["read"], functions["read_parameter"] = self._get_address(function), row[0]["own"]

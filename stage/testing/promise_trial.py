@@ -65,9 +65,8 @@ class PromiseTrial:
         """Draw a program: moves of some axes, time, and then random acts; or random acts alone."""
         chip = self.make()
         begin = draw_drive_start_writes(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
-        clocks = (
-            chip.clock_hz // 4 if rng.integers(3) == 0 else int(rng.integers(1, 200_000))
-        )  # in a quarter second they end
+        # in a quarter second they end
+        clocks = chip.clock_hz // 4 if rng.integers(3) == 0 else int(rng.integers(1, 200_000))
         return limit_pulses([*begin, Act("time", clocks), *self.draw_acts(rng, 25)], chip)
 
     def draw_drives(self, chip: Chip, rng: np.random.Generator) -> list[Act]:

@@ -250,9 +250,8 @@ def append_to_trace(host, kind, port, value, same):
 @hot
 def append_to_journal(host, kind, chip, address, value):
     """Record a bus cycle that has reached a chip, in order with the edges of the switches, for the chip's journal."""
-    if (
-        host.noted >= host.edge_room - get_clockwork(get_stage_handle(host)).most_edges
-    ):  # the engine needs that much in any step
+    # the engine needs room for `most_edges` in any step
+    if host.noted >= host.edge_room - get_clockwork(get_stage_handle(host)).most_edges:
         call_python(host, FULL)
     e = array_at(host.edges, host.edge_room, engine_records.LOGGED_EDGE)[host.noted]
     c = get_chip(host, chip)

@@ -9,9 +9,8 @@ from __future__ import annotations
 from stage.native import exported, hot, least, record
 
 FIFO, ROOM = 16, 4096
-SENT_BUFFER_SIZE = (
-    ROOM + 2 * FIFO
-)  # of what was sent: FIFO + 1 bytes in the transmitter may be written, cleared and written over
+SENT_BUFFER_SIZE = ROOM + 2 * FIFO
+"""Room for sent bytes: FIFO + 1 bytes in the transmitter may be written, cleared and written over."""
 NEVER = 1 << 62
 SECOND = 1_000_000_000
 STATE = record(

@@ -112,9 +112,7 @@ class CDevice(UserDevice):
             self.path = Path(source)
         else:
             raise ArgumentError(f"source={source!r}: give one library, or a list of C or C++ sources.")
-        self._loaded_from = (
-            TemporaryFolder()
-        )  # a copy of its own, which debuggers and messages about crashes find there
+        self._loaded_from = TemporaryFolder()  # for a copy of its own, which debuggers and messages about crashes find
         self.loaded = self._loaded_from.path / f"device-{self.path.name}"
         self._library = _load_copy(self.path, self.loaded, source)
         size = ctypes.c_uint32.in_dll(self._library, "pulsestage_device_size").value

@@ -316,8 +316,8 @@ def _move_descriptor(fileno: int) -> int:
 
 def _prefer_to_be_killed() -> None:
     """Ask the system to kill this process before others if memory runs out."""
-    with suppress(OSError), Path("/proc/self/oom_score_adj").open("w") as file:
-        file.write("1000")
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
 
 
 def main(fileno: int) -> None:

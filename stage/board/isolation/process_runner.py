@@ -309,9 +309,8 @@ class ProcessRunner:
         try:
             if call.kind >= 0:
                 answer = board.link.call_device(call.chip, call.address, call.kind, call.value)
-                if (
-                    _read_faults(board.stage) != self._faults
-                ):  # to compare the whole machine takes too long for a bus cycle
+                # to compare the whole machine takes too long for a bus cycle
+                if _read_faults(board.stage) != self._faults:
                     machine = self._pickle_if_changed()
             elif call.chip >= 0:
                 answer = int(board.link.is_write_lost(call.chip, call.address, call.value))

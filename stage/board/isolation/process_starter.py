@@ -157,9 +157,8 @@ class ProcessStarter:
         if self._process.poll() is None:
             parent = str(self._process.pid)
             for pid in tuple(self.children):
-                if (
-                    read_process_status(pid).get("PPid", parent) == parent
-                ):  # else it has ended, and the number is another's
+                # with another parent it has ended, and the number is another's
+                if read_process_status(pid).get("PPid", parent) == parent:
                     _kill_child(pid)
             self._process.kill()
             self._process.wait()

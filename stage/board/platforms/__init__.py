@@ -14,11 +14,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from pathlib import Path
 
-from stage.board.platforms.arduino_library_folder import (
-    ArduinoLibrary,
-    read_arduino_library,
-    suggest_dependencies,
-)
+from stage.board.platforms.arduino_library_folder import ArduinoLibrary, read_arduino_library, suggest_dependencies
 from stage.board.platforms.arduino_sketch_to_cpp import SKETCHES, list_sketch_files, translate_sketch
 from stage.errors import ArgumentError, unknown_name_error
 

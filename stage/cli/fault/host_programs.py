@@ -193,10 +193,10 @@ def move_line_with_start_skew(stage: Any, make_fault: MakeFault) -> MeasuredValu
     """Draw a line whose two start commands are 5 ms apart."""
     last = get_first_axis(stage)
     other = _find_axis_started_separately(stage, last)
+    # the longest one last: it is started last
     distances = {
-        other: convert_revolutions_to_pulses(other, -2.34375),
-        last: convert_revolutions_to_pulses(last, 6.25),
-    }  # the longest one last: it is started last
+        other: convert_revolutions_to_pulses(other, -2.34375), last: convert_revolutions_to_pulses(last, 6.25),
+    }  # fmt: skip
     with make_fault(faults.start_skew, last, 5e-3):
         report = firmware.line(distances, pulses=True, speed=make_speeds(last, 6.25, 0.15))
     return {

@@ -95,9 +95,8 @@ def _check_pin_waveforms(trial: PromiseTrial, rng: np.random.Generator) -> None:
         probe.advance(n)
         edge, other = (e[np.searchsorted(e["clock"], start + n, side="right") - 1] for e in (fine, coarse))
         word = probe.output_word(axis)
-        wrong = (int(other["outputs"]) ^ word) & ~_find_toggling_bits(
-            fine["outputs"], len(at) // 2
-        )  # pulse outputs: only if all are asked for
+        # pulse outputs: only if all are asked for
+        wrong = (int(other["outputs"]) ^ word) & ~_find_toggling_bits(fine["outputs"], len(at) // 2)
         wrong |= (int(edge["outputs"]) ^ word) & (int(other["outputs"]) ^ word)
         if wrong:
             pins = ", ".join(name for name, bit in trial.chip_class.OUTPUTS.items() if bit & wrong)
