@@ -372,12 +372,9 @@ def find_next_event(chip):
     for j in range(chip.axes):
         y = chip.ax[j]
         if y.interpolates:
-            interpolation.ticks_until_check = least(
-                interpolation.ticks_until_check,
-                least(
-                    single_axis_drive.count_pulses_to_event(chip, y), synchronous_actions.count_pulses_to_event(chip, y)
-                ),
-            )
+            pulses = single_axis_drive.count_pulses_to_event(chip, y)
+            pulses = least(pulses, synchronous_actions.count_pulses_to_event(chip, y))
+            interpolation.ticks_until_check = least(interpolation.ticks_until_check, pulses)
     if interpolation.awaits_start or interpolation.role == state.SLAVE:
         return state.NEVER
     n = chip.clock - axis.origin

@@ -227,12 +227,8 @@ def _has_reached_place(axis, piece, clocks, place):
         place: Position on the profile in pulses, a double-double.
     """
     if axis.a2[piece, 0] == 0.0 and axis.j6[piece, 0] == 0.0:  # the same, sooner
-        reached = dd.add(
-            dd.load_pair(axis.p[piece]),
-            dd.multiply(
-                dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[piece])), dd.load_pair(axis.v[piece])
-            ),
-        )
+        t = dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[piece]))
+        reached = dd.add(dd.load_pair(axis.p[piece]), dd.multiply(t, dd.load_pair(axis.v[piece])))
     else:
         reached = compute_exact_place(axis, piece, clocks)
     return not dd.is_less(
@@ -263,12 +259,8 @@ def find_clock_of_place(axis, piece, place):
             if last
             else (axis.t[piece + 1, 0] - axis.t[piece, 0]) + (axis.t[piece + 1, 1] - axis.t[piece, 1])
         )
-        distance = greatest(
-            dd.subtract(dd.subtract(place, dd.to_double_double(axis.from_pulse[piece])), dd.load_pair(axis.p[piece]))[
-                0
-            ],
-            0.0,
-        )
+        from_pulse = dd.subtract(place, dd.to_double_double(axis.from_pulse[piece]))
+        distance = greatest(dd.subtract(from_pulse, dd.load_pair(axis.p[piece]))[0], 0.0)
         t = compute_time_in_piece(axis, piece, distance, max_time)
         at = axis.t[piece, 0] + t
         if not at < MAX_CLOCKS:

@@ -67,20 +67,10 @@ def draft_speed_change(axis, speed, acceleration, goal_speed):
     zero = dd.ZERO
     if not axis.curved:
         if dd.is_less(speed, goal_speed):
-            return _draft_piece(
-                axis,
-                0,
-                dd.divide(dd.subtract(goal_speed, speed), dd.load_pair(axis.acceleration)),
-                dd.load_pair(axis.acceleration),
-                zero,
-            )
-        return _draft_piece(
-            axis,
-            0,
-            dd.divide(dd.subtract(speed, goal_speed), dd.load_pair(axis.deceleration)),
-            dd.negate(dd.load_pair(axis.deceleration)),
-            zero,
-        )
+            rate = dd.load_pair(axis.acceleration)
+            return _draft_piece(axis, 0, dd.divide(dd.subtract(goal_speed, speed), rate), rate, zero)
+        rate = dd.load_pair(axis.deceleration)
+        return _draft_piece(axis, 0, dd.divide(dd.subtract(speed, goal_speed), rate), dd.negate(rate), zero)
     k = 0
     falls = acceleration[0] < 0.0
     if acceleration[0] != 0.0:
@@ -258,11 +248,8 @@ def _find_piece_phase(acceleration, jerk):
 @hot
 def append_speed_change(axis, goal_speed):
     """Append the change from the speed at the plan's cursor to another speed."""
-    for k in range(
-        draft_speed_change(
-            axis, dd.load_pair(axis.cursor[CURSOR_SPEED]), dd.load_pair(axis.cursor[CURSOR_ACCELERATION]), goal_speed
-        )
-    ):
+    speed, acceleration = dd.load_pair(axis.cursor[CURSOR_SPEED]), dd.load_pair(axis.cursor[CURSOR_ACCELERATION])
+    for k in range(draft_speed_change(axis, speed, acceleration, goal_speed)):
         duration, a, jerk = _read_draft_piece(axis.drafted_pieces, k)
         _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
     dd.store_pair(axis.cursor[CURSOR_SPEED], goal_speed)
@@ -348,10 +335,8 @@ def _compute_overshoot(axis, clocks, start_speed, acceleration, jerk, remaining_
         remaining_pulses: Pulses from the start of the piece to the end of the drive.
     """
     distance, speed = _integrate_piece(clocks, start_speed, acceleration, jerk)
-    return dd.subtract(
-        dd.add(distance, compute_braking_distance(axis, speed, dd.add(acceleration, dd.multiply(jerk, clocks)))),
-        remaining_pulses,
-    )
+    braking = compute_braking_distance(axis, speed, dd.add(acceleration, dd.multiply(jerk, clocks)))
+    return dd.subtract(dd.add(distance, braking), remaining_pulses)
 
 
 @hot
@@ -418,13 +403,8 @@ def plan_fixed_drive(axis, pulses, drive_speed):
         _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
     dd.store_pair(axis.cursor[CURSOR_SPEED], drive_speed)
     dd.store_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
-    _append_piece(
-        axis,
-        CONSTANT,
-        dd.divide(dd.subtract(room, compute_braking_distance(axis, drive_speed, dd.ZERO)), drive_speed),
-        dd.ZERO,
-        dd.ZERO,
-    )
+    left = dd.subtract(room, compute_braking_distance(axis, drive_speed, dd.ZERO))
+    _append_piece(axis, CONSTANT, dd.divide(left, drive_speed), dd.ZERO, dd.ZERO)
     append_braking(axis)
 
 
@@ -433,6 +413,14 @@ def plan_endless_drive(axis, drive_speed):
     """Plan a drive without an end, at the speed `drive_speed`."""
     append_speed_change(axis, drive_speed)
     _append_constant_speed(axis)
+
+
+@hot
+def _compute_speed_and_acceleration(axis, piece, t):
+    """Compute speed and acceleration of a piece of the plan, `t` clocks (a double-double) after its start."""
+    v, a2, j6 = dd.load_pair(axis.v[piece]), dd.load_pair(axis.a2[piece]), dd.load_pair(axis.j6[piece])
+    speed = dd.add(v, dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))))
+    return speed, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
 
 
 @hot
@@ -449,8 +437,7 @@ def plan_braking_at(axis, pulses):
         slope = v[0] + t[0] * (2.0 * a2[0] + 3.0 * t[0] * j6[0])
         if slope > 0.0:
             t = dd.subtract(t, dd.divide(off, (slope, 0.0)))
-    a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
-    speed = dd.add(v, dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))))
+    speed, a = _compute_speed_and_acceleration(axis, s, t)
     axis.pieces = s + 1 if t[0] > 0.0 else s
     dd.store_pair(axis.cursor[CURSOR_TIME], dd.add(dd.load_pair(axis.t[s]), t))
     dd.store_pair(axis.cursor[CURSOR_PLACE], dd.to_double_double(pulses))
@@ -465,9 +452,5 @@ def begin_plan_at(axis, clocks):
     s = find_piece(axis, clocks)
     t = dd.subtract(dd.to_double_double(clocks), dd.load_pair(axis.t[s]))
     place = dd.add(dd.to_double_double(axis.from_pulse[s]), compute_exact_place(axis, s, clocks))
-    a2, j6 = dd.load_pair(axis.a2[s]), dd.load_pair(axis.j6[s])
-    v = dd.add(
-        dd.load_pair(axis.v[s]), dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0)))))
-    )
-    a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
+    v, a = _compute_speed_and_acceleration(axis, s, t)
     begin_plan(axis, axis.origin + clocks, dd.ZERO, place, v, a if axis.curved else dd.ZERO)

@@ -155,12 +155,8 @@ def _find_even_spacing(axis, piece, pulse_number, clocks):
     pps = dd.floor(dd.add(speed, (0.5, 0.0)))
     if pps < 1 or abs(dd.subtract(speed, dd.to_double_double(pps))[0]) > 1e-29 * pps:
         return
-    over = dd.add(
-        dd.subtract(
-            compute_exact_place(axis, piece, clocks), dd.to_double_double(pulse_number - axis.from_pulse[piece])
-        ),
-        (PLACE_TOLERANCE, 0.0),
-    )
+    goal = dd.to_double_double(pulse_number - axis.from_pulse[piece])
+    over = dd.add(dd.subtract(compute_exact_place(axis, piece, clocks), goal), (PLACE_TOLERANCE, 0.0))
     rest = dd.floor(dd.multiply(over, hz))
     axis.even_pps = 0
     if 0 <= rest < pps:

@@ -17,9 +17,9 @@ def has_profile(axis):
 
 
 @hot
-def _divide_integers(dividend, divisor):
-    """Return the quotient of two integers as a double-double."""
-    return dd.divide(dd.to_double_double(dividend), dd.to_double_double(divisor))
+def _divide_by_clocks_per_second(value):
+    """Return a double-double divided by the number of clocks per second."""
+    return dd.divide(value, dd.to_double_double(CLOCKS_PER_SECOND))
 
 
 @hot
@@ -34,7 +34,7 @@ def convert_speed_to_pulses_per_clock(chip, axis, value):
         value: Value of the parameter.
     """
     if chip.variant == state.MCX514_TYPE:
-        return _divide_integers(least(greatest(value, 1), UNIT_MULTIPLE_RANGE), CLOCKS_PER_SECOND)
+        return _divide_by_clocks_per_second(dd.to_double_double(least(greatest(value, 1), UNIT_MULTIPLE_RANGE)))
     fastest = UNIT_MULTIPLE_RANGE // 1000
     return dd.divide(
         dd.to_double_double(least(greatest(value, 1), fastest) * UNIT_MULTIPLE_RANGE),
@@ -52,34 +52,26 @@ def _clip_range_register(axis):
 def _convert_acceleration_to_pulses_per_clock2(chip, axis, value):
     """Convert an acceleration parameter to pulses per clock squared."""
     if chip.variant == state.MCX514_TYPE:
-        return dd.divide(
-            _divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.to_double_double(CLOCKS_PER_SECOND)
-        )
-    return dd.divide(
-        dd.divide(
+        per_clock = _divide_by_clocks_per_second(dd.to_double_double(greatest(value, 1)))
+    else:
+        per_clock = dd.divide(
             dd.to_double_double(125 * greatest(value, 1) * UNIT_MULTIPLE_RANGE),
             dd.to_double_double(CLOCKS_PER_SECOND * _clip_range_register(axis)),
-        ),
-        dd.to_double_double(CLOCKS_PER_SECOND),
-    )
+        )
+    return _divide_by_clocks_per_second(per_clock)
 
 
 @hot
 def _convert_jerk_to_pulses_per_clock3(chip, axis, value):
     """Convert a jerk parameter to pulses per clock cubed."""
     if chip.variant == state.MCX514_TYPE:
-        return dd.divide(
-            dd.divide(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.to_double_double(CLOCKS_PER_SECOND)),
-            dd.to_double_double(CLOCKS_PER_SECOND),
+        jerk = dd.to_double_double(greatest(value, 1))
+    else:
+        jerk = dd.divide(
+            dd.to_double_double(62_500_000 * UNIT_MULTIPLE_RANGE),
+            dd.to_double_double(greatest(value, 1) * _clip_range_register(axis)),
         )
-    up = dd.divide(
-        dd.to_double_double(62_500_000 * UNIT_MULTIPLE_RANGE),
-        dd.to_double_double(greatest(value, 1) * _clip_range_register(axis)),
-    )
-    return dd.divide(
-        dd.divide(dd.divide(up, dd.to_double_double(CLOCKS_PER_SECOND)), dd.to_double_double(CLOCKS_PER_SECOND)),
-        dd.to_double_double(CLOCKS_PER_SECOND),
-    )
+    return _divide_by_clocks_per_second(_divide_by_clocks_per_second(_divide_by_clocks_per_second(jerk)))
 
 
 @hot
@@ -113,9 +105,8 @@ def load_drive_speed(chip, axis, value):
         axis: State of the axis.
         value: Value of DV or V.
     """
-    dd.store_pair(
-        axis.dv, convert_speed_to_pulses_per_clock(chip, axis, axis.reg[state.HV] if axis.drives_at_hv else value)
-    )
+    value = axis.reg[state.HV] if axis.drives_at_hv else value
+    dd.store_pair(axis.dv, convert_speed_to_pulses_per_clock(chip, axis, value))
 
 
 @hot
@@ -123,18 +114,13 @@ def load_rates(chip, axis):
     """Set the initial speed, accelerations and jerks of the plan from the registers, at the start of a drive."""
     dd.store_pair(axis.sv, convert_speed_to_pulses_per_clock(chip, axis, axis.reg[state.SV]))
     dd.store_pair(axis.acceleration, _convert_acceleration_to_pulses_per_clock2(chip, axis, axis.reg[state.AC]))
-    dd.store_pair(
-        axis.deceleration,
-        _convert_acceleration_to_pulses_per_clock2(
-            chip, axis, axis.reg[state.DC] if axis.asymmetric else axis.reg[state.AC]
-        ),
-    )
+    deceleration = axis.reg[state.DC] if axis.asymmetric else axis.reg[state.AC]
+    dd.store_pair(axis.deceleration, _convert_acceleration_to_pulses_per_clock2(chip, axis, deceleration))
     jerk = axis.reg[state.JK] if chip.variant == state.MCX514_TYPE else axis.reg[state.K]
     other = axis.reg[state.DJ] if chip.variant == state.MCX514_TYPE else axis.reg[state.L] if chip.has_l else jerk
+    other = other if axis.asymmetric else jerk
     dd.store_pair(axis.acceleration_jerk, _convert_jerk_to_pulses_per_clock3(chip, axis, jerk))
-    dd.store_pair(
-        axis.deceleration_jerk, _convert_jerk_to_pulses_per_clock3(chip, axis, other if axis.asymmetric else jerk)
-    )
+    dd.store_pair(axis.deceleration_jerk, _convert_jerk_to_pulses_per_clock3(chip, axis, other))
     axis.curved = axis.s_curve
     dd.store_pair(
         axis.min_visible_acceleration,
