@@ -421,8 +421,6 @@ class Recording(ColumnTable):
     @explain_arguments
     def column(self, name: str) -> np.ndarray:
         """Return one column, see `columns`. Raises ArgumentError with similar names for an unknown one."""
-        if name not in (units := self.units):
-            raise unknown_name_error("column", name, units)
         return self._read_columns([name])[name]
 
     @property

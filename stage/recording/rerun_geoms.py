@@ -89,19 +89,15 @@ def list_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
                 yield f"mesh_{model.geom(g).name or g}", _make_mesh(model, g)
 
 
-def _get_rotations_and_colors(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
-    """Return rotations and colors of geoms as arguments of an archetype."""
+def _get_common_arguments(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
+    """Return rotations, colors and fill mode of geoms as arguments of an archetype."""
     quats = np.roll(model.geom_quat[geoms], -1, axis=1)  # rerun's order is x y z w
-    return {"quaternions": quats, "colors": np.array([find_color(model, g) for g in geoms])}
+    return {"quaternions": quats, "colors": np.array([find_color(model, g) for g in geoms]), "fill_mode": "solid"}
 
 
 def _make_boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    return rr.Boxes3D(
-        half_sizes=model.geom_size[geoms],
-        centers=model.geom_pos[geoms],
-        fill_mode="solid",
-        **_get_rotations_and_colors(model, geoms),
-    )
+    common = _get_common_arguments(model, geoms)
+    return rr.Boxes3D(half_sizes=model.geom_size[geoms], centers=model.geom_pos[geoms], **common)
 
 
 def _make_planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
@@ -111,38 +107,29 @@ def _make_planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     half[(half <= 0) | (half > limit)] = limit
     half[:, 2] = PLANE_THICKNESS_M
     down = np.array([rotate_vector(model.geom_quat[g], [0, 0, -PLANE_THICKNESS_M]) for g in geoms])
-    return rr.Boxes3D(
-        half_sizes=half,
-        centers=model.geom_pos[geoms] + down,
-        fill_mode="solid",
-        **_get_rotations_and_colors(model, geoms),
-    )
+    common = _get_common_arguments(model, geoms)
+    return rr.Boxes3D(half_sizes=half, centers=model.geom_pos[geoms] + down, **common)
 
 
 def _make_ellipsoids(model: mujoco.MjModel, geoms: list[int]) -> Any:
     half = np.array([s if model.geom_type[g] == _KIND.mjGEOM_ELLIPSOID else [s[0]] * 3
                      for g, s in zip(geoms, model.geom_size[geoms], strict=True)])  # fmt: skip
-    return rr.Ellipsoids3D(
-        half_sizes=half, centers=model.geom_pos[geoms], fill_mode="solid", **_get_rotations_and_colors(model, geoms)
-    )
+    common = _get_common_arguments(model, geoms)
+    return rr.Ellipsoids3D(half_sizes=half, centers=model.geom_pos[geoms], **common)
 
 
 def _make_cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
     size = model.geom_size[geoms]
-    return rr.Cylinders3D(
-        lengths=2 * size[:, 1], radii=size[:, 0], centers=model.geom_pos[geoms], fill_mode="solid",
-        **_get_rotations_and_colors(model, geoms),
-    )  # fmt: skip
+    common = _get_common_arguments(model, geoms)
+    return rr.Cylinders3D(lengths=2 * size[:, 1], radii=size[:, 0], centers=model.geom_pos[geoms], **common)
 
 
 def _make_capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
     """Return capsules. The origin of rerun's capsule is at one end; MuJoCo's is in the middle."""
     size = model.geom_size[geoms]
     ends = np.array([rotate_vector(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
-    return rr.Capsules3D(
-        lengths=2 * size[:, 1], radii=size[:, 0], translations=model.geom_pos[geoms] + ends, fill_mode="solid",
-        **_get_rotations_and_colors(model, geoms),
-    )  # fmt: skip
+    places, common = model.geom_pos[geoms] + ends, _get_common_arguments(model, geoms)
+    return rr.Capsules3D(lengths=2 * size[:, 1], radii=size[:, 0], translations=places, **common)
 
 
 _ARCHETYPE_MAKERS: dict[int, tuple[str, Any]] = {

@@ -172,12 +172,8 @@ def _log_series(out: Any, recording: Recording, rows: np.ndarray) -> None:
             v = np.ascontiguousarray(series.value(samples) * float(series.scales[axis.unit != "m"]))
             keep = np.empty(len(v), np.bool_)
             mark_needed_samples(time, v, float(series.tolerance), keep)
-            columns = rr.Scalars.columns(scalars=v[keep])
-            out.send_columns(
-                f"{rerun_scene.make_axis_entity_path(name)}/{key}",
-                indexes=[rerun_scene.to_time_column(time[keep])],
-                columns=columns,
-            )
+            path, times = f"{rerun_scene.make_axis_entity_path(name)}/{key}", rerun_scene.to_time_column(time[keep])
+            out.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=v[keep]))
 
 
 class StateLaneLogger:

@@ -155,24 +155,17 @@ def make_axis_entity_path(name: str) -> str:
 def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
     """Log the constant pose of a body that never moves."""
     xpos, xquat, _ = rerun_geoms.compute_poses(model, model.qpos0[None])
-    out.log(
-        make_body_entity_path(model, body),
-        rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]),
-        static=True,
-    )
+    pose = rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body])
+    out.log(make_body_entity_path(model, body), pose, static=True)
 
 
 def _log_poses(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.ndarray) -> None:
     """Log the poses of a body over time, without those that differ too little to be seen."""
     cell = np.rint(np.hstack([position, quat]) / MIN_VISIBLE_MOTION_M)
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
-    out.send_columns(
-        path,
-        indexes=[to_time_column(time[keep])],
-        columns=rr.Transform3D.columns(
-            translation=position[keep].astype(np.float32), quaternion=quat[keep].astype(np.float32)
-        ),
-    )
+    translation, quaternion = position[keep].astype(np.float32), quat[keep].astype(np.float32)
+    columns = rr.Transform3D.columns(translation=translation, quaternion=quaternion)
+    out.send_columns(path, indexes=[to_time_column(time[keep])], columns=columns)
 
 
 def to_time_column(seconds: Any) -> Any:
