@@ -339,20 +339,11 @@ def make_read_command(
         evidence: Letter of EVIDENCE; "": that of the register.
         axes: Whether the command is sent to axes.
     """
+    command = replace(make_write_command(register, "data read", axes), legal=None)
     if code is None:
-        return replace(make_write_command(register, "data read", axes), legal=None)
-    evidence_letter = evidence or register.evidence
-    return ChipCommand(
-        code,
-        f"R-{register.name}",
-        f"read {register.name}",
-        "data read",
-        register.bits // 8,
-        None,
-        evidence_letter,
-        register.unit,
-        axes=axes,
-    )
+        return command
+    symbol, title, letter = f"R-{register.name}", f"read {register.name}", evidence or register.evidence
+    return replace(command, code=code, symbol=symbol, title=title, evidence=letter, note="")
 
 
 @dataclass(frozen=True, repr=False)

@@ -226,17 +226,8 @@ def simulate_motor(
     brake = np.array(np.broadcast_to(np.asarray(load, float), waveform.shape))
     start = drive.per_pulse * waveform[0] / drive.motor.rotor_teeth if start_angle is None else start_angle
     frame_damping = float(frame_damping) + drive.motor.core_loss_damping
-    _simulate_motor(
-        rows,
-        waveform,
-        brake,
-        float(inertia),
-        frame_damping,
-        float(flywheel_damping),
-        float(start),
-        float(start_speed),
-        trace,
-    )
+    inertia, flywheel_damping, start, start_speed = map(float, (inertia, flywheel_damping, start, start_speed))
+    _simulate_motor(rows, waveform, brake, inertia, frame_damping, flywheel_damping, start, start_speed, trace)
     return trace
 
 
@@ -406,18 +397,10 @@ def measure_swing_frequency(drive: Drive, inertia: float, microstep: int = 0, fr
     rest = drive.per_pulse * microstep / drive.motor.rotor_teeth
     # between full steps the detent pulls the rest away from the microstep: let a well damped rotor find it
     calm = 0.5 * math.sqrt(drive.motor.rotor_teeth * drive.motor.holding_torque * inertia)
-    rest = float(
-        simulate_motor(
-            drive, np.full(count_slices(0.3), float(microstep)), inertia, frame_damping=calm, start_angle=rest
-        )["theta"][-1]
-    )
-    swing = simulate_motor(
-        drive,
-        np.full(count_slices(0.1), float(microstep)),
-        inertia,
-        frame_damping=frame_damping,
-        start_angle=rest + aside,
-    )
+    standing = np.full(count_slices(0.3), float(microstep))
+    rest = float(simulate_motor(drive, standing, inertia, frame_damping=calm, start_angle=rest)["theta"][-1])
+    swinging = standing[: count_slices(0.1)]
+    swing = simulate_motor(drive, swinging, inertia, frame_damping=frame_damping, start_angle=rest + aside)
     out = swing["theta"] - rest
     up = np.flatnonzero((out[:-1] < 0) & (out[1:] >= 0))
     if len(up) < 2:

@@ -363,15 +363,7 @@ def format_axes_table(axes: Iterable[Axis]) -> str:
     for a in axes:
         place = POSITION_UNITS[a.unit].format
         on = ", ".join(name for name, state in a.switches.as_dict().items() if state)
-        rows.append(
-            (
-                a.name,
-                type(a.chip).__name__,
-                a.drive.title,
-                place(a.position),
-                place(a.commanded),
-                format_lost_steps(a.lost_steps, a.lost_pulses),
-                on or "-",
-            )
-        )
+        lost = format_lost_steps(a.lost_steps, a.lost_pulses)
+        row = (a.name, type(a.chip).__name__, a.drive.title, place(a.position), place(a.commanded), lost, on or "-")
+        rows.append(row)
     return html.format_table(rows, ("axis", "chip", "drive", "position", "commanded", "lost steps", "switches"))

@@ -28,20 +28,10 @@ _ARRAY_FIELDS = (
 ).split()
 _LENGTH_FIELDS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
 _LOG_FIELDS = "samples positions room filled edges edge_room noted".split()
+_LAST_FIELDS = "state status own halt".split()
 HANDLE_FIELDS: list = [
     (name, "i8")
-    for name in [
-        "mj_model",
-        "mj_data",
-        *_ARRAY_FIELDS,
-        *_LENGTH_FIELDS,
-        "bus",
-        *_LOG_FIELDS,
-        "state",
-        "status",
-        "own",
-        "halt",
-    ]
+    for name in ("mj_model", "mj_data", *_ARRAY_FIELDS, *_LENGTH_FIELDS, "bus", *_LOG_FIELDS, *_LAST_FIELDS)
 ]
 HANDLE = record(HANDLE_FIELDS)
 """Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... noted: where the engine logs, how much has room

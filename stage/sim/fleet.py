@@ -350,12 +350,9 @@ def check_programs(
         raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({stage_count}, operations, 4).")
     ops = np.ascontiguousarray(ops, np.int64)
     model = first_stage.model
-    _check_operations(
-        ops,
-        list(first_stage.axes),
-        model.nsite if site_count is None else site_count,
-        model.nbody if body_count is None else body_count,
-    )
+    sites = model.nsite if site_count is None else site_count
+    bodies = model.nbody if body_count is None else body_count
+    _check_operations(ops, list(first_stage.axes), sites, bodies)
     return ops
 
 

@@ -180,14 +180,8 @@ class Program(Operations):
         if not all(0 <= a < MAX_AXES for a in indices):
             raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
         mask = sum(1 << a for a in indices)
-        self.ops.append(
-            (
-                AWAIT_STOP_OR_LOST_STEP if end_on_lost_step else AWAIT_STOP,
-                mask,
-                _to_ns("poll", poll),
-                _to_ns("limit", limit),
-            )
-        )
+        kind = AWAIT_STOP_OR_LOST_STEP if end_on_lost_step else AWAIT_STOP
+        self.ops.append((kind, mask, _to_ns("poll", poll), _to_ns("limit", limit)))
         return self
 
     def sample_position(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:

@@ -75,14 +75,8 @@ def _has_lost_step(handle, axis_mask):
         if axis_mask >> k & 1:
             t = axes[k]
             net = core_interface.read_net_count(get_chip_table(handle)[t.chip], t.chip_axis)
-            if (
-                drive_dispatch.count_lost_steps(
-                    get_drives(handle)[k],
-                    float(net),
-                    (get_qpos(handle)[t.qpos] + get_qvel(handle)[t.dof] * tau) * t.gear,
-                )
-                != 0
-            ):
+            theta = (get_qpos(handle)[t.qpos] + get_qvel(handle)[t.dof] * tau) * t.gear
+            if drive_dispatch.count_lost_steps(get_drives(handle)[k], float(net), theta) != 0:
                 return True
     return False
 
@@ -248,19 +242,10 @@ def inspect_axes(handles, begin, end, truth):
     """Fill truth[k, a], TRUTH records, for every axis of the stages `begin` to `end` - 1."""
     for k in range(begin, end):
         handle = handles[k]
-        axes = get_axis_table(handle)
+        w, clock, axes, drives = get_world(handle), get_clockwork(handle), get_axis_table(handle), get_drives(handle)
         for a in range(handle.n_axes):
-            c = get_chip_table(handle)[axes[a].chip]
-            inspect_axis(
-                get_world(handle),
-                c,
-                axes[a],
-                get_drives(handle)[a],
-                get_clockwork(handle),
-                get_qpos(handle),
-                get_qvel(handle),
-                truth[k, a],
-            )
+            chip = get_chip_table(handle)[axes[a].chip]
+            inspect_axis(w, chip, axes[a], drives[a], clock, get_qpos(handle), get_qvel(handle), truth[k, a])
 
 
 @hot

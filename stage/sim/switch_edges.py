@@ -239,20 +239,12 @@ def predict_switch_edges(handle, has_moved):
         handle: HANDLE record.
         has_moved: Whether qpos has moved by one step of the present qvel since the sensors were read.
     """
-    axis_records, table, readings = get_axes(handle), get_axis_table(handle), get_sensordata(handle)
+    w, clock, axis_records, table = get_world(handle), get_clockwork(handle), get_axes(handle), get_axis_table(handle)
+    switches, switch_table, readings = get_switches(handle), get_switch_table(handle), get_sensordata(handle)
     for a in range(len(axis_records)):
         q, v = get_qpos(handle)[table[a].qpos], get_qvel(handle)[table[a].dof]
         predict_axis_switch_edges(
-            get_world(handle),
-            get_clockwork(handle),
-            axis_records[a],
-            table[a],
-            get_switches(handle),
-            get_switch_table(handle),
-            readings,
-            q,
-            v,
-            has_moved,
+            w, clock, axis_records[a], table[a], switches, switch_table, readings, q, v, has_moved
         )
 
 
@@ -358,15 +350,8 @@ def find_next_edge(axis_records, chip):
 def journal_input(handle, now_ns, chip, chip_axis):
     """Log for the journal that the input pins of chip axis `chip_axis` have changed at `now_ns` ns."""
     if has_edge_room(handle):
-        log_edge(
-            handle,
-            now_ns,
-            chip,
-            core_interface.find_stage_axis(chip, chip_axis),
-            INPUT,
-            chip_axis,
-            core_interface.read_inputs(chip, chip_axis),
-        )
+        axis, word = core_interface.find_stage_axis(chip, chip_axis), core_interface.read_inputs(chip, chip_axis)
+        log_edge(handle, now_ns, chip, axis, INPUT, chip_axis, word)
 
 
 @hot

@@ -52,15 +52,8 @@ def apply_effort(
     """
     speed, before = velocity[axis_row.dof], ctrl[axis_row.actuator]
     gain = clockwork.half * axis_row.gear * axis_row.gear / inertia[axis_row.dof]
-    effort = drive_dispatch.compute_effort(
-        drive,
-        axis.counts,
-        clockwork.slices,
-        position[axis_row.qpos] * axis_row.gear,
-        speed * axis_row.gear,
-        clockwork.h,
-        gain,
-    )
+    theta, omega = position[axis_row.qpos] * axis_row.gear, speed * axis_row.gear
+    effort = drive_dispatch.compute_effort(drive, axis.counts, clockwork.slices, theta, omega, clockwork.h, gain)
     ctrl[axis_row.actuator] = effort
     change = compute_force_change(
         axis, axis_row, drive, effort - before, speed, damping[axis_row.dof], core_loss[axis_row.actuator]

@@ -108,16 +108,8 @@ class Decoder(cycle_descriptions.Decoder):
         value = sum(b << 8 * (a - 1) for a, b in known.items()) & register.mask
         raw = " ".join(f"{b:02X}" for _, b in sorted(parts.items(), reverse=True))
         code = f"{self._select:02X} {raw}"
-        return [
-            Statement(
-                self._clock,
-                "register",
-                code,
-                f"{register.name} <- {value} ({register.description})",
-                register.name,
-                value,
-            )
-        ]
+        meaning = f"{register.name} <- {value} ({register.description})"
+        return [Statement(self._clock, "register", code, meaning, register.name, value)]
 
 
 class CycleDescriber:

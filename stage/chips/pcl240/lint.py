@@ -200,12 +200,8 @@ def _describe_effect(chip: Any, value: int) -> str:
 def _lint_rate(chip: Any, clock_hz: int, value: int) -> Iterator[Finding]:
     """Check that the speed which a start or a speed change selects is within the maximum of the data sheet."""
     multiplier = int(chip["multiplier"])
-    k = max(
-        [1, _FH_REGISTER_BY_SPEED.get(value & SPEED, 1)]
-        if value & RAMP
-        else [_FH_REGISTER_BY_SPEED.get(value & SPEED, 1)],
-        key=lambda k: chip["reg"][k],
-    )
+    selected = _FH_REGISTER_BY_SPEED.get(value & SPEED, 1)
+    k = max([1, selected] if value & RAMP else [selected], key=lambda k: chip["reg"][k])
     steps = int(chip["reg"][k])
     if multiplier < 2 or steps * clock_hz <= MAX_RATE_PPS * 8192 * multiplier:
         return

@@ -183,12 +183,8 @@ class Hctl1100Driver(Driver):
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self._check_move(pulses, speeds)
-        start_trapezoid(
-            self._prepare_for(speeds),
-            self._leave_limit_and_count_rest(int(pulses)),
-            speeds.drive,
-            speeds.drive / speeds.up,
-        )
+        port = self._prepare_for(speeds)
+        start_trapezoid(port, self._leave_limit_and_count_rest(int(pulses)), speeds.drive, speeds.drive / speeds.up)
 
     def _leave_limit_and_count_rest(self, pulses: int) -> int:
         """Leave the limit switch if the axis stands on one, and return the remaining counts of the move."""

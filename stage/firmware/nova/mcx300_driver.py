@@ -86,18 +86,14 @@ class Mcx300Driver(NovaDriver):
         return program
 
     def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:
-        limits_ = compute_logic_bits(self.axis, "WR2")
-        self.add_mode_words(
-            program,
-            WR1=self._compute_wr1(),
-            **({"WR2": limits_} if limits_ else {}),
-            WR3=self.get_mask("WR3", "SACC") if s_curve else 0,
-        )
+        limit_bits = compute_logic_bits(self.axis, "WR2")
+        wr2 = {"WR2": limit_bits} if limit_bits else {}
+        wr3 = self.get_mask("WR3", "SACC") if s_curve else 0
+        self.add_mode_words(program, WR1=self._compute_wr1(), **wr2, WR3=wr3)
         if isinstance(self.chip, MCX314AS):
             self.add_register_write(program, "EM", 0)
-        return self.add_register_write(
-            self.add_register_write(program, "R", UNIT_MULTIPLE_RANGE // SPEED_MULTIPLE), "AO", 0
-        )
+        self.add_register_write(program, "R", UNIT_MULTIPLE_RANGE // SPEED_MULTIPLE)
+        return self.add_register_write(program, "AO", 0)
 
     def _compute_wr1(self, *bit_names: str) -> int:
         """Return a value of the mode word WR1 with the logic of the sensors and the named bits."""

@@ -66,14 +66,8 @@ class FourRunHomeProgram(HomeProgram):
         self._add_run(
             p, "leave", chip_port.PRESET, chip_port.RAMP_START_COMMANDS["FH1"], leave, rest_s=c.settle if leave else 0.0
         )
-        self._add_run(
-            p,
-            "search",
-            chip_port.ORIGIN | chip_port.MINUS | (chip_port.SD if sd else 0),
-            chip_port.RAMP_START_COMMANDS["FH1"],
-            0,
-            c.settle,
-        )
+        control = chip_port.ORIGIN | chip_port.MINUS | (chip_port.SD if sd else 0)
+        self._add_run(p, "search", control, chip_port.RAMP_START_COMMANDS["FH1"], 0, c.settle)
         self._add_run(p, "back off", chip_port.PRESET, chip_port.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:

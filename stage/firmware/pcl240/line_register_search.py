@@ -198,18 +198,10 @@ def _list_leaders(
     pick = pick[np.argsort(np.abs(shift[pick]), kind="stable")]
     off = np.zeros(len(pick))
     for d, own_hz, _, _, multiplier in followers.values():
-        misfit = np.zeros(len(pick))
-        least = min(100.0, d / move.length * move.fh * 8192 * MAX_R7 / own_hz / 2)
+        misfit, share, accepted = np.zeros(len(pick)), d / move.length, EXACT_RATIO_DRIFT_PULSES / d
+        least = min(100.0, share * move.fh * 8192 * MAX_R7 / own_hz / 2)
         follower_register_search.compute_rate_misfits(
-            high[pick],
-            r7[pick],
-            clock_hz,
-            d / move.length,
-            own_hz,
-            least,
-            EXACT_RATIO_DRIFT_PULSES / d,
-            multiplier,
-            misfit,
+            high[pick], r7[pick], clock_hz, share, own_hz, least, accepted, multiplier, misfit
         )
         off = np.maximum(off, misfit * d)
     best = pick[np.argsort(np.maximum(off, ACCEPTED_DRIFT_PULSES) + error[pick], kind="stable")]

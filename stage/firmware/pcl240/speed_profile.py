@@ -95,10 +95,8 @@ def compute_ramp_pulses(low: int, high: int, rate: float, r7: int, curved_end_st
     return (high + low) * compute_equivalent_linear_ramp_steps(low, high, curved_end_steps) * rate / (16384 * r7)
 
 
-def is_triangular_move(
-    r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
-) -> bool:
-    """Return whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384).
+def is_triangular_move(r0: int, low: int, high: int, r4: int, r5: int, r7: int) -> bool:
+    """Return whether a move with linear ramps is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384).
 
     Args:
         r0: Pulses of the move.
@@ -107,10 +105,8 @@ def is_triangular_move(
         r4: Acceleration rate R4.
         r5: Deceleration rate R5.
         r7: Multiplier R7.
-        up: Speed steps of each curved end of the ramp up; None for a linear ramp.
-        down: Speed steps of each curved end of the ramp down; None for a linear ramp.
     """
-    return r0 < compute_ramp_pulses(low, high, r4, r7, up) + compute_ramp_pulses(low, high, r5, r7, down)
+    return r0 < compute_ramp_pulses(low, high, r4, r7) + compute_ramp_pulses(low, high, r5, r7)
 
 
 def compute_linear_part_pulses(low: int, r4: int, r5: int, r7: int, up: int, down: int) -> float:
@@ -393,15 +389,8 @@ class Profile:
         Returns:
             Value of R6.
         """
-        point = compute_down_point(
-            pulses,
-            self.R1,
-            max(self.get_high_speed(fh2), self.R1),
-            self.R4,
-            self.R5,
-            self.R7,
-            self._down_curved_end_steps,
-        )
+        high = max(self.get_high_speed(fh2), self.R1)
+        point = compute_down_point(pulses, self.R1, high, self.R4, self.R5, self.R7, self._down_curved_end_steps)
         return self.chip.MAP.check_value("R6", point)
 
     def for_distance(self, pulses: int, fh2: bool = False) -> Profile:
@@ -415,15 +404,9 @@ class Profile:
         """
         if self.spans is None or self.get_high_speed(fh2) <= self.R1:
             return self
+        up, down = self._up_curved_end_steps or 0, self._down_curved_end_steps or 0
         high = compute_revised_high_speed(
-            pulses,
-            self.R1,
-            self.get_high_speed(fh2),
-            self.R4,
-            self.R5,
-            self.R7,
-            self._up_curved_end_steps or 0,
-            self._down_curved_end_steps or 0,
+            pulses, self.R1, self.get_high_speed(fh2), self.R4, self.R5, self.R7, up, down
         )
         high = max(high, self.R1)
         return replace(self, R3=high) if fh2 else replace(self, R2=high)

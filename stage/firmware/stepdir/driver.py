@@ -196,12 +196,11 @@ class StepDirDriver(Driver):
                 limit_s = compute_time_limit(events, speeds) if timeout is None else timeout
                 wait_until_stopped(axes, limit_s, on_poll=early_stop)
             axes[0].wait(SETTLING_TIME_S)
-            return observer.make_report(
-                {
-                    name: ANOTHER_AXIS if name in early_stop.stopped else driver._read_end_reason()
-                    for name, driver in moving.items()
-                }
-            )
+            reasons = {
+                name: ANOTHER_AXIS if name in early_stop.stopped else driver._read_end_reason()
+                for name, driver in moving.items()
+            }
+            return observer.make_report(reasons)
 
     def explain_end(self, all_pulses_sent: bool, journal: Journal | None = None) -> str:
         return self._read_end_reason()

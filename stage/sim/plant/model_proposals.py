@@ -61,18 +61,17 @@ def _format_element(tag: str, **attributes: Any) -> str:
     return f"<{tag}{''.join(f' {name}={quoteattr(text)}' for name, text in texts.items())}/>"
 
 
-def propose_motor(model: Any, axis: str, old: str = "", joint: str = "") -> Proposal:
+def propose_motor(model: Any, axis: str, old: str = "") -> Proposal:
     """Propose the motor of an axis; it keeps the gear of the actuator that it replaces, unless that is 1, MuJoCo's own.
 
     Args:
         model: MjModel or MjSpec.
-        axis: Name of the motor.
+        axis: Name of the motor and of its joint, whose kind decides on the gear of a new motor.
         old: Name of the actuator that the motor replaces; "": none.
-        joint: Name of the joint in the model whose kind decides on the gear of a new motor; default: `axis`.
     """
     gear = float(model.actuator(old).gear[0]) if old else 0.0
     if gear == 1 or not MIN_GEAR <= abs(gear) <= MAX_GEAR:
-        gear = TABLE_GEAR if _is_hinge(model, joint or axis) else SCREW_GEAR
+        gear = TABLE_GEAR if _is_hinge(model, axis) else SCREW_GEAR
     line = f'<motor name={quoteattr(axis)} joint={quoteattr(axis)} gear="{gear:.10g}"/>'
     return Proposal(f"in place of actuator {old!r}" if old else "in <actuator>", line)
 

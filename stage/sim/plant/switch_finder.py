@@ -274,17 +274,8 @@ class SwitchFinder:
             self._measure_edge(joint, found_address, dist, *edge, high - low, room)
             for edge, room in zip(edges, rooms, strict=True)
         ]
-        return Switch(
-            pin,
-            sensor,
-            found_address,
-            dist,
-            q,
-            slope,
-            lookahead,
-            _limit_travel_between_neighbor_edges(measured, turn > 0),
-            turn,
-        )
+        limited = _limit_travel_between_neighbor_edges(measured, turn > 0)
+        return Switch(pin, sensor, found_address, dist, q, slope, lookahead, limited, turn)
 
     def _list_missing_pins(self, axis: str, unfitted: Sequence[str]) -> list[str]:
         """List the pins of an axis without a sensor, and those that the model says it does not have."""
