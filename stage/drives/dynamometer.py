@@ -20,11 +20,12 @@ import numpy as np
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor, check_in_range, find_motor
 from stage.errors import ArgumentError
-from stage.native import array_of, exported, greatest, least, record
+from stage.native import array_of, exported, greatest, hot, least, record
 
 SLICE_S = 15.625e-6
 BRAKE_ONSET_S, BRAKE_HOLD_S = 0.3, 0.3  # s: the brake's onset, and how long it then holds
 SLIP_ANGLE_RAD = math.pi  # electrical radians from which a braked rotor does not come back
+ROTORS_SIDE_BY_SIDE = 4  # that a processor works on at the same time; more are hardly faster
 DEFAULT_DAMPING_N_M_S = 2e-4  # N m s/rad: bearings and grease of a small axis
 
 TRACE = record([(name, "f8") for name in "count theta omega torque current_a current_b".split()])
@@ -136,23 +137,76 @@ def _check_inertia(drive: Drive, inertia: float) -> None:
         )
 
 
+@hot
+def _compute_next_speed(omega, torque, friction, inertia, damping):
+    """Return the speed of a rotor after a slice, rad/s. Friction can stop a rotor but never turns it.
+
+    Args:
+        omega: Speed at the beginning of the slice, rad/s.
+        torque: Torque on the rotor without that of friction and damping, N m.
+        friction: Friction, N m.
+        inertia: Moment of inertia, kg m^2.
+        damping: Damping, N m s/rad.
+    """
+    push, brake = omega + SLICE_S / inertia * torque, SLICE_S / inertia * friction
+    push = greatest(push - brake, 0.0) if push > 0.0 else least(push + brake, 0.0)
+    return push / (1.0 + SLICE_S / inertia * damping)
+
+
 @exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
 def _simulate_motor(drive, counts, load, inertia, frame_damping, flywheel_damping, theta, omega, trace):
     """Integrate the rotor's motion by leapfrog, and write the values of each slice into `trace`.
 
-    The torque of a slice acts at the rotor's angle in the middle of the slice. Friction can stop a rotor but never turns it.
+    The torque of a slice acts at the rotor's angle in the middle of the slice.
     """
-    case = omega
+    flywheel_speed = omega
     stepper.power_up(drive, counts[0], drive.per_pulse * counts[0] / drive.teeth)
     for k in range(len(counts)):
         force = stepper.compute_slice_torque(drive, counts[k], theta, omega, SLICE_S)
         row = trace[k]
         row.count, row.theta, row.omega, row.torque = counts[k], theta, omega, force
         row.current_a, row.current_b = drive.current_a, drive.current_b
-        push, brake = omega + SLICE_S / inertia * (force + flywheel_damping * case), SLICE_S / inertia * load[k]
-        push = greatest(push - brake, 0.0) if push > 0.0 else least(push + brake, 0.0)
-        omega = push / (1.0 + SLICE_S / inertia * (frame_damping + flywheel_damping))
+        omega = _compute_next_speed(
+            omega, force + flywheel_damping * flywheel_speed, load[k], inertia, frame_damping + flywheel_damping
+        )
         theta += SLICE_S * omega
+
+
+BRAKED_ROTOR = record([(name, "f8") for name in "load start_speed theta omega".split()] + [("in_step", "i8")])
+"""A rotor in a run of several: brake (N m), speed of its flywheel (rad/s), angle (rad), speed (rad/s), 1 until it slips."""
+
+
+@exported(None, array_of(BRAKED_ROTOR), array_of(stepper.DRIVE), array_of("f8", 2), array_of("f8"), "f8", "f8")
+def _brake_rotors(rotors, drives, counts, onset, inertia, flywheel_damping):
+    """Run rotors that start in step, each until it slips, and write into `in_step` which of them never do.
+
+    The motion is that of `_simulate_motor` without damping relative to the frame. Each slice depends on the one before it; with
+    several rotors side by side, the processor works on one while it waits for the results of another.
+
+    Args:
+        rotors: BRAKED_ROTOR records with `load` and `start_speed`, shape (n,).
+        drives: DRIVE records, shape (n,).
+        counts: Commanded pulses, mean over each slice, shape (slices, n).
+        onset: Share of the load in each slice, shape (slices,).
+        inertia: Moment of inertia, kg m^2.
+        flywheel_damping: Damping relative to the flywheel, N m s/rad.
+    """
+    for j in range(len(rotors)):
+        rotor, drive = rotors[j], drives[j]
+        rotor.theta, rotor.omega, rotor.in_step = drive.per_pulse * counts[0, j] / drive.teeth, rotor.start_speed, 1
+        stepper.power_up(drive, counts[0, j], rotor.theta)
+    for k in range(len(onset)):
+        for j in range(len(rotors)):
+            rotor, drive = rotors[j], drives[j]
+            if rotor.in_step == 0:
+                continue
+            if not abs(drive.per_pulse * counts[k, j] - drive.teeth * rotor.theta) < SLIP_ANGLE_RAD:
+                rotor.in_step = 0
+                continue
+            force = stepper.compute_slice_torque(drive, counts[k, j], rotor.theta, rotor.omega, SLICE_S)
+            torque = force + flywheel_damping * rotor.start_speed
+            rotor.omega = _compute_next_speed(rotor.omega, torque, rotor.load * onset[k], inertia, flywheel_damping)
+            rotor.theta += SLICE_S * rotor.omega
 
 
 def count_slices(seconds: float) -> int:
@@ -305,22 +359,30 @@ def simulate_pull_out(
         math.pi * np.minimum(np.arange(count_slices(BRAKE_ONSET_S + BRAKE_HOLD_S)) * SLICE_S / BRAKE_ONSET_S, 1)
     )
     speeds = _check_speeds(rpm)
-    torque = np.zeros(len(speeds))
-    for k, speed in enumerate(speeds):
-        counts = compute_mean_counts(np.full(len(onset), speed / 60 * drive.pulses_per_turn))
+    if not len(speeds):
+        return np.zeros(0)
+    rotors = np.zeros(len(speeds), BRAKED_ROTOR)
+    rotors["start_speed"] = speeds * 2 * math.pi / 60
+    waveforms = [compute_mean_counts(np.full(len(onset), speed / 60 * drive.pulses_per_turn)) for speed in speeds]
+    counts = np.stack(waveforms, axis=1)
 
-        def keeps_up(load: float, counts: np.ndarray = counts, omega: float = speed * 2 * math.pi / 60) -> bool:
-            trace = simulate_motor(drive, counts, inertia, load * onset, 0.0, flywheel_damping, start_speed=omega)
-            return bool((np.abs(compute_load_angle(drive, trace)) < SLIP_ANGLE_RAD).all())
+    def keep_up(loads: np.ndarray) -> np.ndarray:
+        """Return which rotors keep up with these loads, shape (n,)."""
+        drives = np.zeros(len(speeds), stepper.DRIVE)
+        for row in drives:
+            drive.fill_record(row)
+        rotors["load"] = loads
+        _brake_rotors(rotors, drives, counts, onset, inertia, flywheel_damping)
+        return rotors["in_step"] == 1
 
-        low, high = 0.0, 1.2 * (drive.motor.torque_constant * drive.amplitude + drive.detent_torque)
-        if not keeps_up(0.0):
-            continue
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if keeps_up(middle) else (low, middle)
-        torque[k] = max(low - loss * (speed * 2 * math.pi / 60), 0.0)
-    return torque
+    low = np.zeros(len(speeds))
+    high = np.full(len(speeds), 1.2 * (drive.motor.torque_constant * drive.amplitude + drive.detent_torque))
+    runs_unloaded = keep_up(low)
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        is_in_step = keep_up(middle)
+        low, high = np.where(is_in_step, middle, low), np.where(is_in_step, high, middle)
+    return np.where(runs_unloaded, np.maximum(low - loss * rotors["start_speed"], 0.0), 0.0)
 
 
 def count_steps_lost_in_start(
@@ -470,10 +532,12 @@ def tabulate_pull_out(
     speeds = _check_speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
     sine = replace(drive, mode="sine", microsteps=256, detent=0.0)
     simulated, ideal_drive = np.zeros(len(speeds)), np.zeros(len(speeds))
-    for k in range(len(speeds)):
-        simulated[k], ideal_drive[k] = simulate_pull_out(drive, speeds[k])[0], simulate_pull_out(sine, speeds[k])[0]
+    for first in range(0, len(speeds), ROTORS_SIDE_BY_SIDE):
+        group = slice(first, first + ROTORS_SIDE_BY_SIDE)
+        simulated[group] = simulate_pull_out(drive, speeds[group])
+        ideal_drive[group] = simulate_pull_out(sine, speeds[group])
         if progress:
-            progress((k + 1) / len(speeds))
+            progress(min(first + ROTORS_SIDE_BY_SIDE, len(speeds)) / len(speeds))
     m, v, i = drive.motor, drive.bus_voltage, drive.amplitude
     return PullOutCurve(
         speeds, simulated, ideal_drive,

@@ -32,8 +32,8 @@ def test_a_table_has_the_full_steps_of_its_motor():
 
 def test_progress_is_reported_from_the_first_speed_to_the_last():
     reports = []
-    tabulate_pull_out(Drive(), RPM, reports.append)
-    assert reports == pytest.approx([1 / 3, 2 / 3, 1])
+    tabulate_pull_out(Drive(), [300, 600, 900, 1200, 1500, 1800], reports.append)
+    assert reports == pytest.approx([4 / 6, 1])
 
 
 def test_the_picture_shows_the_simulated_curve_and_names_motor_voltage_and_microsteps(table, tmp_path):
