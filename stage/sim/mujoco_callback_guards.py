@@ -86,6 +86,26 @@ def forward_guarded(
     Raises:
         SimulationError: A callback raises.
     """
+    with guard_forward(data) as errors:
+        mujoco.mj_forward(model, data)
+        if errors and restore_state is not None:
+            restore_state()
+            mujoco.mj_forward(model, data)
+
+
+@contextmanager
+def guard_forward(data: mujoco.MjData) -> Iterator[list[BaseException]]:
+    """Raise the first exception of a callback at the end of this context, in which functions of MuJoCo compute without a step.
+
+    Args:
+        data: State with which they compute.
+
+    Yields:
+        The exceptions so far. After the first one, no callback is called.
+
+    Raises:
+        SimulationError: A callback raises.
+    """
     errors: list[BaseException] = []
 
     def take_error(error: BaseException | None) -> bool:
@@ -94,10 +114,7 @@ def forward_guarded(
         return bool(errors)
 
     with guard_callbacks(take_error):
-        mujoco.mj_forward(model, data)
-        if errors and restore_state is not None:
-            restore_state()
-            mujoco.mj_forward(model, data)
+        yield errors
     if errors:
         raise make_callback_error(errors[0], data.time, "Nothing has changed.")
 

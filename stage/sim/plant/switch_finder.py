@@ -271,8 +271,7 @@ class SwitchFinder:
         lookahead = self._measure_lookahead(joint, found_address, q, slope, low, high)
         rooms = _measure_neighbor_distances([at for at, _ in edges], high - low)
         measured = [
-            self._measure_edge(joint, found_address, dist, *edge, high - low, room)
-            for edge, room in zip(edges, rooms, strict=True)
+            self._measure_edge(joint, sensor, *edge, high - low, room) for edge, room in zip(edges, rooms, strict=True)
         ]
         limited = _limit_travel_between_neighbor_edges(measured, turn > 0)
         return Switch(pin, sensor, found_address, dist, q, slope, lookahead, limited, turn)
@@ -331,6 +330,20 @@ class SwitchFinder:
         """Compute positions, contacts and sensors with one joint at a position and the other joints at qpos0."""
         self._set_joint_position(joint, position)
         mujoco_callback_guards.forward_guarded(self.model, self.data)
+
+    def _read_distances_while_found(self, joint: int, sensor: int, positions: np.ndarray) -> np.ndarray:
+        """Read the distance of a contact sensor at positions of one joint, up to the first at which it finds no contact, m."""
+        m, at = self.model, self._find_field_addresses(sensor)
+        needs_forces = m.sensor_needstage[sensor] != mujoco.mjtStage.mjSTAGE_POS
+        names = ["mj_forward"] if needs_forces or m.nflex else ["mj_kinematics", "mj_collision", "mj_sensorPos"]
+        out = np.empty(len(positions))
+        self.data.qpos[:] = m.qpos0
+        with mujoco_callback_guards.guard_forward(self.data):
+            count = flag_scan.read_distances_while_found(
+                np.array([find_mujoco_address(name) for name in names]), m._address, self.data._address, self.data.qpos,
+                int(m.jnt_qposadr[joint]), positions, self.data.sensordata, at["FOUND"], at["DIST"], out,
+            )  # fmt: skip
+        return out[:count]
 
     def _measure_distance(self, joint: int, position: float, vane: int, switch: int) -> float:
         """Measure the distance of vane and switch with one joint at a position, m."""
@@ -485,8 +498,7 @@ class SwitchFinder:
     def _measure_edge(
         self,
         joint: int,
-        found_address: int,
-        dist_address: int,
+        sensor: int,
         edge_position: float,
         slope: float,
         travel: float,
@@ -496,8 +508,7 @@ class SwitchFinder:
 
         Args:
             joint: Id of the joint.
-            found_address: Address of the sensor's field `found` in sensordata.
-            dist_address: Address of its field `dist`.
+            sensor: Id of the contact sensor.
             edge_position: Joint position of the edge.
             slope: d dist / d q at the edge.
             travel: Joint travel of the axis.
@@ -506,14 +517,12 @@ class SwitchFinder:
         noise, bend, limits = MIN_TRAVEL, 0.0, []
         # the first steps, up to 100 times as far, measure the noise
         nearest = min(MIN_FLAG_SHARE * travel, 1e-4 * room)
-        steps = (travel * np.geomspace(nearest / travel, 1, 41)).tolist()
+        steps = travel * np.geomspace(nearest / travel, 1, 41)
         for side in (-1, 1):
             limit = 0.0
-            for step in steps:
-                self._compute_sensors_at(joint, edge_position + side * step)
-                if not self.data.sensordata[found_address] > 0:
-                    break
-                sensed = float(self.data.sensordata[dist_address]) / slope
+            distances = self._read_distances_while_found(joint, sensor, edge_position + side * steps)
+            for step, distance in zip(steps.tolist(), distances.tolist(), strict=False):
+                sensed = distance / slope
                 error = abs(sensed - side * step)
                 if step <= 100 * steps[0]:
                     noise = max(noise, error)
