@@ -84,23 +84,17 @@ enum { MPCM = 0, U2X = 1, UPE = 2, DOR = 3, FE = 4, UDRE = 5, TXC = 6, RXC = 7 }
 enum { TXB8 = 0, RXB8 = 1, UCSZ2 = 2, TXEN = 3, RXEN = 4, UDRIE = 5, TXCIE = 6, RXCIE = 7 }; /* UCSRB of older chips */
 enum { UCPOL = 0, UCSZ0 = 1, UCSZ1 = 2, USBS = 3, UPM0 = 4, UPM1 = 5, UMSEL = 6, URSEL = 7 }; /* UCSRC of older chips */
 
+/* calls another macro with the letter of each port */
+#define PULSESTAGE_FOR_EACH_PORT(macro)                                                                                \
+    macro(A); macro(B); macro(C); macro(D); macro(E); macro(F); macro(G); macro(H); macro(J); macro(K); macro(L)
+
 /* the bits of a port */
 #define PULSESTAGE_PORT(letter)                                                                                        \
     enum { PIN##letter##0, PIN##letter##1, PIN##letter##2, PIN##letter##3, PIN##letter##4, PIN##letter##5, PIN##letter##6, PIN##letter##7 }; \
     enum { DD##letter##0, DD##letter##1, DD##letter##2, DD##letter##3, DD##letter##4, DD##letter##5, DD##letter##6, DD##letter##7 }; \
     enum { PORT##letter##0, PORT##letter##1, PORT##letter##2, PORT##letter##3, PORT##letter##4, PORT##letter##5, PORT##letter##6, PORT##letter##7 }; \
     enum { P##letter##0, P##letter##1, P##letter##2, P##letter##3, P##letter##4, P##letter##5, P##letter##6, P##letter##7 }
-PULSESTAGE_PORT(A);
-PULSESTAGE_PORT(B);
-PULSESTAGE_PORT(C);
-PULSESTAGE_PORT(D);
-PULSESTAGE_PORT(E);
-PULSESTAGE_PORT(F);
-PULSESTAGE_PORT(G);
-PULSESTAGE_PORT(H);
-PULSESTAGE_PORT(J);
-PULSESTAGE_PORT(K);
-PULSESTAGE_PORT(L);
+PULSESTAGE_FOR_EACH_PORT(PULSESTAGE_PORT);
 #undef PULSESTAGE_PORT
 enum { SREG_C, SREG_Z, SREG_N, SREG_V, SREG_S, SREG_H, SREG_T, SREG_I };
 

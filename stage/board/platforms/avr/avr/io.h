@@ -191,18 +191,9 @@ inline void enabled()
     static const pulsestage::Register<pulsestage::PortOf<#letter[0] - 'A'>> PORT##letter __attribute__((unused)) = {}; \
     static const pulsestage::Register<pulsestage::DdrOf<#letter[0] - 'A'>> DDR##letter __attribute__((unused)) = {};   \
     static const pulsestage::Register<pulsestage::PinOf<#letter[0] - 'A'>> PIN##letter __attribute__((unused)) = {}
-PULSESTAGE_PORT(A);
-PULSESTAGE_PORT(B);
-PULSESTAGE_PORT(C);
-PULSESTAGE_PORT(D);
-PULSESTAGE_PORT(E);
-PULSESTAGE_PORT(F);
-PULSESTAGE_PORT(G);
-PULSESTAGE_PORT(H);
-PULSESTAGE_PORT(J);
-PULSESTAGE_PORT(K);
-PULSESTAGE_PORT(L);
+PULSESTAGE_FOR_EACH_PORT(PULSESTAGE_PORT);
 #undef PULSESTAGE_PORT
+#undef PULSESTAGE_FOR_EACH_PORT
 
 static const pulsestage::Register<pulsestage::SregOf> SREG __attribute__((unused)) = {};
 static const pulsestage::Register<pulsestage::EimskOf> EIMSK __attribute__((unused)) = {};
