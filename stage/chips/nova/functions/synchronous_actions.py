@@ -44,6 +44,16 @@ EVENT_BY_FACTOR = (
 (TO_DV, TO_TP, TO_SP1, TO_REGISTER, FROM_LP, FROM_RP, FROM_CT, FROM_READING, PULSE, DRIVE, COUNTER_DRIVE, ABSOLUTE_DRIVE,
  PLUS, MINUS, DRIVE_BY, DRIVE_TO, SLOW_STOP, STOP, FASTER, SLOWER, TIMER_START, TIMER_STOP, SPLIT_ON, SPLIT_OFF
  ) = range(1, len(ACTIONS))  # fmt: skip
+DRIVE_KINDS = (
+    single_axis_drive.RELATIVE,
+    single_axis_drive.COUNTER_RELATIVE,
+    single_axis_drive.ABSOLUTE,
+    single_axis_drive.FORWARD,
+    single_axis_drive.BACKWARD,
+    single_axis_drive.RELATIVE_BY,
+    single_axis_drive.ABSOLUTE_TO,
+)
+"""Kinds of the drives of the actions DRIVE to DRIVE_TO, by action; the last two are those of SYNC0."""
 MR_TARGET_REGISTERS = (state.LP, state.RP, state.SV, state.AC)
 """Registers into which action 4 of SYNC0 to SYNC3 copies its MR."""
 
@@ -181,22 +191,8 @@ def _perform_action(chip, axis, set_index, action):
 @hot
 def _start_drive(chip, axis, set_index, action):
     """Start the drive that is the action of synchronous action set `set_index`."""
-    if action == DRIVE:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.RELATIVE)
-    elif action == COUNTER_DRIVE:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.COUNTER_RELATIVE)
-    elif action == ABSOLUTE_DRIVE:
-        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.ABSOLUTE)
-    elif action in (PLUS, MINUS):
-        single_axis_drive.execute_drive_command(
-            chip, axis, single_axis_drive.FORWARD if action == PLUS else single_axis_drive.BACKWARD
-        )
-    else:
-        single_axis_drive.execute_drive_command(
-            chip,
-            axis,
-            (single_axis_drive.RELATIVE_BY if action == DRIVE_BY else single_axis_drive.ABSOLUTE_TO) + set_index,
-        )
+    kind = DRIVE_KINDS[action - DRIVE] + (set_index if action >= DRIVE_BY else 0)
+    single_axis_drive.execute_drive_command(chip, axis, kind)
 
 
 @hot
