@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copyreg
 import ctypes
-from functools import lru_cache
+from functools import cache, lru_cache
 from math import prod
 from operator import itemgetter
 from typing import Any
@@ -54,6 +54,7 @@ def _make_fast_record(dtype: np.dtype) -> type:
     return _FastRecordType("record", (np.record,), members)
 
 
+@cache
 def remove_attribute_access(dtype: np.dtype) -> np.dtype:
     """Return a dtype with the same fields whose elements have no attributes, so that access by `element["name"]` is faster."""
     return np.dtype([(name, dtype[name]) for name in dtype.names or ()])

@@ -9,7 +9,7 @@ compiled code the addresses of all of them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
+from operator import attrgetter
 from typing import Any
 
 import mujoco
@@ -29,6 +29,7 @@ SAVED_STATE_SPEC = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, an
 SPARE_EDGE_COUNT = 640
 SPARE_LINKED_EDGE_COUNT = 64
 _STAGE_TIME_FIELDS = engine_records.STAGE_TIME.names or ()
+_READ_EDGE = attrgetter(*(engine_records.FLAG_EDGE.names or ()))
 START, POWERED = _STAGE_TIME_FIELDS.index("start"), _STAGE_TIME_FIELDS.index("powered")
 
 
@@ -214,27 +215,31 @@ class State:
     ) -> None:
         """Fill the tables of axes and of switches, and the tables in which chips find their axes."""
         first, flag_edges = 0, list[tuple[float, ...]]()
+        axis_rows = self.axis_table.view(remove_attribute_access(engine_records.AXIS_ROW))
+        switch_rows = self.switch_table.view(remove_attribute_access(engine_records.SWITCH_ROW))
         for k, (p, chip_axis, drive) in enumerate(zip(plant, chip_axes, drives, strict=True)):
-            chip, j, t = chip_axis.chip, chip_axis.index, self.axis_table[k]
-            t.chip, t.chip_axis = chips.index(chip), j
-            c = self.chip_table[t.chip]
+            chip, j, t = chip_axis.chip, chip_axis.index, axis_rows[k]
+            chip_index = chips.index(chip)
+            t["chip"], t["chip_axis"] = chip_index, j
+            c = self.chip_table[chip_index]
             c.axes += 1
             self.clockwork["currents"] += c.read_motor_current != 0
             self.clockwork["loads"] += c.set_load != 0
-            chip_axis_record = self.chip_axes[t.chip][j]
+            chip_axis_record = self.chip_axes[chip_index][j]
             chip_axis_record.axis, chip_axis_record.means = k, address_of(self.axes[k]["counts"])
             chip_axis_record.net = address_of(self.axes[k : k + 1]["count"])
-            t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
-            t.index_bit, t.index_at = chip.find_switch_input("ez"), p.index
-            t.positive = wires.find_inverted_pins(k, chip)
-            t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
-            t.first_switch, t.end_switch = first, first + len(p.switches)
-            for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):
-                row.bit, row.found, row.dist, row.forced = chip.find_switch_input(s.pin), s.found, s.dist, -1
-                row.first_edge, row.turn = len(flag_edges), s.turn
-                flag_edges += [astuple(edge) for edge in s.edges]
-                row.end_edge = len(flag_edges)
-            first = int(t.end_switch)
+            t["qpos"], t["dof"], t["actuator"], t["gear"] = p.qpos, p.dof, p.actuator, p.gear
+            t["index_bit"], t["index_at"] = chip.find_switch_input("ez"), p.index
+            t["positive"] = wires.find_inverted_pins(k, chip)
+            t["counts"] = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
+            end = first + len(p.switches)
+            t["first_switch"], t["end_switch"] = first, end
+            for row, s in zip(switch_rows[first:end], p.switches, strict=True):
+                row["bit"], row["found"], row["dist"] = chip.find_switch_input(s.pin), s.found, s.dist
+                row["forced"], row["turn"], row["first_edge"] = -1, s.turn, len(flag_edges)
+                flag_edges += map(_READ_EDGE, s.edges)
+                row["end_edge"] = len(flag_edges)
+            first = end
         self.flag_edges = np.array(flag_edges, engine_records.FLAG_EDGE)
         self.clockwork["flag_edges"], self.clockwork["n_flag_edges"] = address_of(self.flag_edges), len(flag_edges)
 
