@@ -62,9 +62,8 @@ def remove_attribute_access(dtype: np.dtype) -> np.dtype:
 
 def address_of(item: np.ndarray | np.void) -> int:
     """Return the address of the memory of an array or a record; for a record this takes longer."""
-    if isinstance(item, np.ndarray):
-        return int(item.ctypes.data)
-    return int(item.__array_interface__["data"][0])
+    array = item if isinstance(item, np.ndarray) else np.frombuffer(item, np.uint8)
+    return int(array.ctypes.data)
 
 
 def get_function_address(function: Any) -> int:
