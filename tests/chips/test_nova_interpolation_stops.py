@@ -395,6 +395,14 @@ def test_a_maximum_finish_point_set_by_the_host_reads_back():
     assert get(chip, 0x39, 0) == 5000
 
 
+@covers("MCX514", "R-TX")
+def test_before_a_line_tx_reads_the_longest_way_of_the_axes_that_interpolate():
+    chip = prepared()
+    for axis, pulses in ((X, 300), (Y, -700), (Z, 9000)):
+        load(chip, axis, TP=pulses)
+    assert get(chip, 0x39, 0) == 700
+
+
 def test_an_equalized_circle_stays_within_one_lsb_and_closes():
     chip = prepared(ipm=0x100)
     arc(chip, (-120, 35), (0, 0), False)
