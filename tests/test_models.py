@@ -151,7 +151,7 @@ def test_every_axis_of_every_model_homes():
         stage = Stage(name, visuals=False)
         for axis in stage.axes.values():
             org = next(s.touch for s in axis.plant.switches if s.pin == "org")
-            stage.place(**{axis.name: org + 0.01})
+            stage.place(**{axis.name: org + 0.004})
             report = firmware.origin_return(axis)
             assert report.stopped_by == "ORG"
             assert report.lost_steps == 0

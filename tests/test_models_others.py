@@ -75,7 +75,7 @@ def get_racking_angle(stage):
         ("pcl240k", -0.040, -0.0388),
         ("pcl240k", -0.0695, -0.0705),
         ("mcx514", -0.104, -0.104),
-        ("hctl1100", -0.05, -0.05),
+        ("hctl1100", -0.065, -0.065),
     ],
 )
 def test_a_gantry_is_squared_from_anywhere_with_any_chip(chips, y, w):
@@ -86,7 +86,7 @@ def test_a_gantry_is_squared_from_anywhere_with_any_chip(chips, y, w):
     reports = firmware.square_gantry(*(stage.axes[name] for name in ("y", "w")))
     assert [(r.axis, r.stopped_by, r.lost_steps) for r in reports] == [("y", "ORG", 0), ("w", "ORG", 0)]
     assert abs(get_racking_angle(stage)) < 2e-3
-    assert firmware.line({"y": 80e-3, "w": 80e-3}, stage).axes["y"].lost_steps == 0
+    assert firmware.line({"y": 20e-3, "w": 20e-3}, stage).axes["y"].lost_steps == 0
     assert abs(get_racking_angle(stage)) < 2e-3
 
 
@@ -117,6 +117,7 @@ def test_squaring_one_axis_is_refused_and_so_is_a_direction_that_is_none():
 
 def test_squaring_without_an_origin_ahead_ends_at_the_limit():
     stage = Stage("gantry", visuals=False)
+    stage.place(y=-0.08, w=-0.08)
     for name in ("y", "w"):
         stage.axes[name].switches.stick("org", False)
     reports = firmware.square_gantry(stage.axes["y"], stage.axes["w"])

@@ -4,6 +4,7 @@ import copy
 import math
 import pickle
 from dataclasses import replace
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -66,6 +67,7 @@ def test_a_motor_that_its_core_loss_alone_holds_back_has_no_pull_out_torque():
     assert simulate_pull_out(Drive(LOSSLESS, **SINE), [3000]) > 0.05
 
 
+@cache
 def pull_out_by_ode(motor, volts, current, speed, sine):
     """Pull-out torque, N m, of the two phases as SciPy integrates them at a constant speed, rad/s; the best of all load angles.
 

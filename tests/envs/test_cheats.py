@@ -10,6 +10,7 @@ import pytest
 import stage.envs  # noqa: F401
 from stage import ArgumentError
 from stage.envs import register_bus as rb
+from stage.envs.reduced_model import reduce_model
 from stage.firmware.driver import get_driver
 
 SHORT = {"model": "xy", "axes": ("x",), "time_limit": 1.0, "waits": (0.1,), "cycles": 120}
@@ -105,7 +106,7 @@ SOLVES = "solves"
 @cache
 def play_registers(discount, seconds):
     """Return the totals of a host that solves RegisterBus, and of those that fail, by player."""
-    settings = {"model": "xy", "axes": ("x",), "waits": (seconds,), "time_limit": 10.0}
+    settings = {"model": reduce_model("xy", "x"), "axes": ("x",), "waits": (seconds,), "time_limit": 10.0}
     env = make_env("stage/RegisterBus-v0", discount=discount, **settings)
     env.action_space.seed(1)
     drawn = [env.action_space.sample() for _ in range(2000)]
@@ -127,7 +128,7 @@ def play_registers(discount, seconds):
 @cache
 def play_macros(discount, level):
     """Return the totals of a host that solves BusMacros, and of those that fail, by player."""
-    env = make_env("stage/BusMacros-v1", discount=discount, level=level)
+    env = make_env("stage/BusMacros-v1", model="xy", discount=discount, level=level)
     rng = np.random.default_rng(1)
     drawn, wait = rng.integers(env.action_space.n, size=120), env.macros.index("wait")
     masks = rng.permuted(np.tile(np.arange(env.action_space.n), (120, 1)), axis=1)

@@ -19,7 +19,7 @@ def make_env(**settings):
     return gymnasium.make(
         "stage/DriftingHome-v1",
         disable_env_checker=True,
-        **{"model": "xy", "reach": 0.004, "returns": 3, "limit": 1.5} | settings,
+        **{"model": "xy", "reduced": True, "reach": 0.004, "returns": 3, "limit": 1.5} | settings,
     ).unwrapped
 
 

@@ -16,7 +16,8 @@ def make_env(early_ends, **settings):
         early_ends=early_ends,
         num_envs=8,
         vectorization_mode="vector_entry_point",
-        **{"model": "xy", "limit": LIMIT, "settle": 0.01, "moves": 100, "distances": (1600, 6000)} | settings,
+        **{"model": "xy", "reduced": True, "limit": LIMIT, "settle": 0.01, "moves": 100, "distances": (1600, 6000)}
+        | settings,
     )
     env.reset(seed=3)
     env.action_space.seed(3)

@@ -16,7 +16,7 @@ from stage.firmware.parameter_ranges import get_register_range
 USUAL = make_action(1000, 16_000, 0.15, 0.15)
 BRISK = make_action(1000, 24_000, 0.08, 0.08)
 WILD = make_action(6000, 60_000, 0.01, 0.01)
-SHORT = {"model": "xy", "distances": (800, 2000), "tries": 3, "proofs": 2, "settle": 0.02}
+SHORT = {"model": "xy", "reduced": True, "distances": (800, 2000), "tries": 3, "proofs": 2, "settle": 0.02}
 
 
 def make_env(**settings):

@@ -12,8 +12,8 @@ from stage.envs.reduced_model import reduce_model
 from stage.sim import plant
 
 IDS = {
-    "stage/OneShotTuning-v1": {},
-    "stage/FewShotTuning-v1": {"tries": 2},
+    "stage/OneShotTuning-v1": {"proofs": 2},
+    "stage/FewShotTuning-v1": {"tries": 2, "proofs": 2},
     "stage/RegisterTuning-v0": {"distances": (400, 800), "limit": 0.3},
     "stage/ServoTuning-v0": {"limit": 0.1, "rest": 0.02},
     "stage/DriftingHome-v1": {},
