@@ -99,7 +99,7 @@ def pull_out_by_ode(motor, volts, current, speed, sine):
     settled = 10 if not sine else max(10, math.ceil(8 * inductance / r / period))
     times = np.linspace(settled * period, (settled + 1) * period, 241)
     solution = solve_ivp(
-        slope, (0, times[-1]), start.ravel(), "RK45", times, rtol=1e-5, atol=1e-6, max_step=period / 200
+        slope, (0, times[-1]), start.ravel(), "RK45", times, rtol=1e-5, atol=1e-6, max_step=period / 100
     )
     i = solution.y.reshape(2, -1, len(times))
     torque = np.zeros((len(lead), len(times)))

@@ -12,18 +12,20 @@ from stage import Stage
 from stage.chips import HCTL1100, PCL240K
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import MOTORS, Drive, find_motor
+from stage.envs.reduced_model import reduce_model
 from stage.errors import ArgumentError
 from stage.tune import MoveCase, Task, tune
 from stage.tune.machine_tolerances import draw_machines, find_spreads, fit_machine
 from stage.tune.move_runner import MoveRunner
 from stage.tune.register_planners import create_planner
 from stage.tune.result import TuningResult
+from stage.tune.tuning import FORMULA_CHOICES
 
 PULSES, PAYLOAD = 400, 2.0
 
 
 def make_axis(drive):
-    return Stage("xy", chips=PCL240K, drives=drive, visuals=False).axes["x"]
+    return Stage(reduce_model("xy", "x"), chips=PCL240K, drives=drive, visuals=False).axes["x"]
 
 
 def make_task(drive="17HS4401", **settings):
@@ -270,7 +272,9 @@ def test_a_wider_range_of_core_loss_makes_the_answer_slower():
 
 def test_the_formula_slows_down_until_every_machine_keeps_step(monkeypatch):
     """A safety factor of 0.75 exceeds the torque of the weakest machines"""
-    monkeypatch.setattr("stage.tune.tuning.SAFETY_FACTOR", 0.75)
+    choices = [choice._replace(safety_factor=0.5 * choice.safety_factor) for choice in FORMULA_CHOICES]
+    monkeypatch.setattr("stage.tune.tuning.FORMULA_CHOICES", choices)
+    assert choices[0].safety_factor == 0.75
     task = make_task(pulses=8000)
     result = tune(task, by="formula", moves=12)
     assert result.safety_factor > 0.75

@@ -16,6 +16,7 @@ from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.chips.cycle_descriptions import Statement
 from stage.cli import main
 from stage.drives.dynamometer import compute_natural_frequency
+from stage.envs.reduced_model import reduce_model
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import ImmediateOperations, Speeds, get_driver
 from stage.tune import MoveCase, Task, bus_listing, proof, tune
@@ -31,9 +32,8 @@ LIMIT = 0.1  # s
 
 
 def make_task(chip=PCL240K, **settings):
-    return Task(
-        Stage("xy", chips=chip, visuals=False), "x", **{"pulses": PULSES, "payload": PAYLOAD, "hold": 0.02, **settings}
-    )
+    stage = Stage(reduce_model("xy", "x"), chips=chip, visuals=False)
+    return Task(stage, "x", **{"pulses": PULSES, "payload": PAYLOAD, "hold": 0.02, **settings})
 
 
 @pytest.fixture(scope="module")
