@@ -327,7 +327,10 @@ def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage,
 @pytest.mark.parametrize("name", ["FewShotTuning", "SynchronizedLine"])
 def test_a_closed_environment_leaves_no_thread_running(name):
     before = threading.active_count()
-    envs = gymnasium.make_vec(f"stage/{name}-v1", 4, vectorization_mode="vector_entry_point", threads=2, model="xy")
+    envs = gymnasium.make_vec(
+        f"stage/{name}-v1", 4, vectorization_mode="vector_entry_point", threads=2, model="xy", distances=(400, 800),
+        proofs=2, **({"tries": 2} if name == "FewShotTuning" else {}),
+    )  # fmt: skip
     envs.reset(seed=1)
     over = False
     while not over:  # the proof has threads of its own

@@ -16,7 +16,7 @@ IDS = {
     "stage/FewShotTuning-v1": {"tries": 2, "proofs": 2},
     "stage/RegisterTuning-v0": {"distances": (400, 800), "limit": 0.3},
     "stage/ServoTuning-v0": {"limit": 0.1, "rest": 0.02},
-    "stage/DriftingHome-v1": {},
+    "stage/DriftingHome-v1": {"reach": 0.004, "limit": 1.5},
     "stage/OriginReturn-v0": {"limit": 0.5},
 }
 N = 10  # stages
