@@ -29,7 +29,7 @@ SETTINGS = {
     "stage/RegisterBus-v0": {"model": "xy", "cycles": 4, "bus_cycle": 1e-3, "waits": (1e-3, 1e-2)},
     "stage/OriginReturn-v0": {"model": "xy", "returns": 2, "limit": 0.1, "settle": 0.01},
     "stage/SynchronizedMove-v0": {"model": "xy", "distances": (1000, 2000)},
-    "stage/ServoTuning-v0": {"reduced": True, "distances": (100, 400), "limit": 0.2, "rest": 0.02},
+    "stage/ServoTuning-v0": {"distances": (100, 400), "limit": 0.2, "rest": 0.02},
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (400, 900), "tries": 2, "proofs": 2, "settle": 0.01},
     "stage/OneShotTuning-v1": {"model": "xy", "distances": (400, 900), "proofs": 2, "settle": 0.01},
     "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},

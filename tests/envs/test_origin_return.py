@@ -23,7 +23,8 @@ MAX_BEFORE_ORIGIN, NEAR, ON, BEYOND = -0.11, -0.1195, -0.1203, -0.130  # m; x tr
 
 
 def make_env(**settings):
-    return gymnasium.make("stage/OriginReturn-v0", disable_env_checker=True, **{"reduced": True} | settings).unwrapped
+    model = "xyz" if settings.get("axis") == "z" else "xy"
+    return gymnasium.make("stage/OriginReturn-v0", disable_env_checker=True, **{"model": model} | settings).unwrapped
 
 
 def encode_action(env, **changes):

@@ -13,7 +13,7 @@ GOOD = {"R22": 0x40, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}
 
 
 def make_env(**settings):
-    return gymnasium.make("stage/ServoTuning-v0", disable_env_checker=True, **{"reduced": True} | settings).unwrapped
+    return gymnasium.make("stage/ServoTuning-v0", disable_env_checker=True, **settings).unwrapped
 
 
 def make_one_move(values, distance=200, payload=0.0, **settings):
