@@ -21,8 +21,6 @@ US = 1e-6
 TIMES_IN_AREA_D = [DRIVE_S - AREA_D + 2 * US, DRIVE_S - AREA_D / 2, DRIVE_S - AREA_D / 7, DRIVE_S - 8 * US]
 WATCHED_S = 3 * AREA_D  # the last seconds of a drive, in which the routine runs
 LIMITS = {"CP": 2**31 - 1, "CM": -(2**31)}
-STOP_ENABLES = MCX304.MAP.masks("WR1", "SP0-E", "SP1-E", "SP2-E")
-SOFT_LIMIT_MASK = sum(MCX304.MAP.masks("WR2", "SLMT+", "SLMT-"))
 
 
 class DriveSetup:
@@ -246,9 +244,9 @@ def test_a_chip_without_the_erratum_needs_no_routine(name):
     ids=["plus", "minus"],
 )
 def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
-    setup = DriveSetup(cls, wr2=SOFT_LIMIT_MASK, **limits).start(pulses)
+    setup = DriveSetup(cls, wr2=s_curve_workarounds.SOFT_LIMIT_MASK, **limits).start(pulses)
     assert setup.runs_away()
-    setup = DriveSetup(cls, wr2=SOFT_LIMIT_MASK, **limits)
+    setup = DriveSetup(cls, wr2=s_curve_workarounds.SOFT_LIMIT_MASK, **limits)
     assert not s_curve_workarounds.start_within_limits(setup.driver, pulses, limits["CM"], limits["CP"])
     assert not setup.driver.is_driving()
     assert setup.driver.read_position() == 0
@@ -257,7 +255,7 @@ def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
 @pytest.mark.parametrize("sign", [1, -1], ids=["plus", "minus"])
 def test_a_drive_that_ends_at_a_software_limit_is_started(sign):
     limits = {"CP": PULSES if sign > 0 else 1, "CM": -PULSES}
-    setup = DriveSetup(wr2=SOFT_LIMIT_MASK, **limits)
+    setup = DriveSetup(wr2=s_curve_workarounds.SOFT_LIMIT_MASK, **limits)
     assert s_curve_workarounds.start_within_limits(setup.driver, sign * PULSES, limits["CM"], limits["CP"])
     assert setup.wait_for_end_position() == sign * PULSES
 
@@ -266,7 +264,7 @@ def test_a_drive_that_ends_at_a_software_limit_is_started(sign):
 
 
 def run_with_stop_signal(k, seconds, cls=MCX304, routine=True, begins=0.0):
-    setup = DriveSetup(cls, wr1=STOP_ENABLES[k]).start()
+    setup = DriveSetup(cls, wr1=s_curve_workarounds.STOP_ENABLES[k]).start()
     places = []
 
     def set_pin():

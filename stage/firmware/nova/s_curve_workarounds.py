@@ -20,7 +20,9 @@ PHASES = ASND | CNST | DSND
 LIMIT_STOP_MASK = sum(MAP.masks("RR1", "LMT+", "LMT-"))
 STOP_INPUT_MASK = sum(MAP.masks("RR1", "STOP0", "STOP1", "STOP2"))
 C_END_ENABLE, C_END = MAP.mask("WR1", "C-END"), MAP.mask("RR3", "C-END")
+STOP_ENABLES = MAP.masks("WR1", "SP0-E", "SP1-E", "SP2-E")
 LIMIT_DECELERATION_MASK = MAP.mask("WR2", "LMTMD")
+SOFT_LIMIT_MASK = sum(MAP.masks("WR2", "SLMT+", "SLMT-"))
 S_CURVE = MAP.mask("WR3", "SACC")
 
 
