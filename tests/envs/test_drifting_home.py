@@ -154,6 +154,7 @@ def test_the_origin_drifts_and_the_counters_show_the_drift():
     assert len(set(shifts)) == 3
     assert off[0] == 0
     assert np.allclose(off[1:], np.diff(shifts), atol=1.5e-5)
+    assert np.abs(np.diff(shifts)).max() <= 1e-4 < np.abs(shifts).max(), "the distances add up"
 
 
 def test_a_fault_ends_with_its_episode(env):
