@@ -188,6 +188,14 @@ def test_the_origin_of_xya_begins_and_ends_where_its_vane_does(speed, direction)
     passage.assert_edges([near, leaves + direction * HYSTERESIS])
 
 
+def test_neighboring_edges_of_a_flag_are_used_over_equal_distances():
+    """Each distance that the sensor of xya measures belongs to one edge."""
+    (origin,) = (s for s in Stage("xya", visuals=False).axes["a"].plant.switches if s.pin == "org")
+    enters, leaves = origin.edges
+    assert enters.above * abs(enters.slope) == pytest.approx(-leaves.below * abs(leaves.slope))
+    assert leaves.above * abs(leaves.slope) == pytest.approx(-enters.below * abs(enters.slope))
+
+
 def test_a_table_homes_to_the_same_pulse_from_everywhere():
     """stage home a --model xya"""
     stage, places = Stage("xya", visuals=False), []
