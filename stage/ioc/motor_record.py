@@ -79,7 +79,7 @@ class TargetValue(PvpropertyDouble):
 
 
 class RecordAlarm(ChannelAlarm):
-    """Alarm of all fields of a record. caproto would reset it whenever a field accepts a put."""
+    """Alarm of all fields of a record, which a put to a field leaves as it is; a ChannelAlarm is reset by each accepted put."""
 
     async def write(self, *, status: Any = None, severity: Any = None, **acknowledgement: Any) -> None:
         """Write what a client acknowledges; the status and severity of one field are ignored."""

@@ -396,7 +396,7 @@ def test_a_maximum_finish_point_set_by_the_host_reads_back():
 
 
 @covers("MCX514", "R-TX")
-def test_before_a_line_tx_reads_the_longest_way_of_the_axes_that_interpolate():
+def test_before_a_line_tx_reads_the_longest_distance_of_the_axes_that_interpolate():
     chip = prepared()
     for axis, pulses in ((X, 300), (Y, -700), (Z, 9000)):
         load(chip, axis, TP=pulses)
